@@ -1,0 +1,2 @@
+//! Skycell.
+fn main() {}
