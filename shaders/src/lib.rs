@@ -1,1 +1,219 @@
-//! Skycell shaders.
+//! Skycell's WGSL modules, composed, validated and described.
+//!
+//! The folder `wgsl/` holds one module per concern. [`compose`] links a [`Kernel`] with the modules that it imports,
+//! specialised to [`Features`]: what a scene lacks is not compiled in. [`layout`] is the Rust side of every struct that
+//! both sides see; a test compares the two.
+
+pub mod layout;
+
+use naga_oil::compose::{
+    ComposableModuleDescriptor, Composer, NagaModuleDescriptor, ShaderDefValue,
+};
+use std::collections::HashMap;
+
+/// A compute program: one WGSL file with one entry point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Kernel {
+    /// One ray per texel of a tile: fills the cache.
+    MarchTexels,
+    /// One ray per pixel of a viewer: the screen-space renderer.
+    MarchPixels,
+    /// One picture for one viewer.
+    Composite,
+    /// Physical functions evaluated at given points, for tests.
+    Probe,
+}
+
+impl Kernel {
+    /// Every kernel.
+    pub const ALL: [Self; 4] = [
+        Self::MarchTexels,
+        Self::MarchPixels,
+        Self::Composite,
+        Self::Probe,
+    ];
+
+    /// Name of the entry point.
+    #[must_use]
+    pub const fn entry_point(self) -> &'static str {
+        match self {
+            Self::MarchTexels => "march_texels",
+            Self::MarchPixels => "march_pixels",
+            Self::Composite => "composite",
+            Self::Probe => "probe",
+        }
+    }
+
+    const fn source(self) -> (&'static str, &'static str) {
+        match self {
+            Self::MarchTexels => (
+                "march/texels.wgsl",
+                include_str!("../wgsl/march/texels.wgsl"),
+            ),
+            Self::MarchPixels => (
+                "march/pixels.wgsl",
+                include_str!("../wgsl/march/pixels.wgsl"),
+            ),
+            Self::Composite => (
+                "composite/composite.wgsl",
+                include_str!("../wgsl/composite/composite.wgsl"),
+            ),
+            Self::Probe => ("probe/probe.wgsl", include_str!("../wgsl/probe/probe.wgsl")),
+        }
+    }
+}
+
+/// What a kernel is specialised to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Features {
+    /// Groups of four scattering octaves, 1 to 4.
+    pub octave_vectors: u32,
+    /// Density from maps and noise; without it a layer is homogeneous.
+    pub weather: bool,
+    /// Catmull-Rom instead of bilinear reads of the cache.
+    pub catmull_rom: bool,
+    /// Linear radiance instead of tone-mapped bytes.
+    pub linear_output: bool,
+    /// Composite of marched pixels instead of cached texels.
+    pub screen_space: bool,
+}
+
+impl Default for Features {
+    fn default() -> Self {
+        Self {
+            octave_vectors: 1,
+            weather: true,
+            catmull_rom: true,
+            linear_output: false,
+            screen_space: false,
+        }
+    }
+}
+
+impl Features {
+    /// Every combination that [`compose`] accepts.
+    pub fn all() -> impl Iterator<Item = Self> {
+        (1..=4).flat_map(|octave_vectors| {
+            (0..16u32).map(move |bits| Self {
+                octave_vectors,
+                weather: bits & 1 != 0,
+                catmull_rom: bits & 2 != 0,
+                linear_output: bits & 4 != 0,
+                screen_space: bits & 8 != 0,
+            })
+        })
+    }
+
+    fn definitions(self) -> HashMap<String, ShaderDefValue> {
+        let mut definitions = HashMap::from([(
+            "OCTAVE_VECTORS".to_owned(),
+            ShaderDefValue::UInt(self.octave_vectors.clamp(1, 4)),
+        )]);
+        for (name, set) in [
+            ("DENSITY_WEATHER", self.weather),
+            ("CATMULL_ROM", self.catmull_rom),
+            ("LINEAR_OUTPUT", self.linear_output),
+            ("SCREEN_SPACE", self.screen_space),
+        ] {
+            if set {
+                definitions.insert(name.to_owned(), ShaderDefValue::Bool(true));
+            }
+        }
+        definitions
+    }
+}
+
+/// Modules in an order in which each finds what it imports.
+const MODULES: &[(&str, &str)] = &[
+    (
+        "scene/scene.wgsl",
+        include_str!("../wgsl/scene/scene.wgsl"),
+    ),
+    (
+        "geometry/shell.wgsl",
+        include_str!("../wgsl/geometry/shell.wgsl"),
+    ),
+    (
+        "geometry/octahedral.wgsl",
+        include_str!("../wgsl/geometry/octahedral.wgsl"),
+    ),
+    (
+        "light/phase.wgsl",
+        include_str!("../wgsl/light/phase.wgsl"),
+    ),
+    (
+        "light/transport.wgsl",
+        include_str!("../wgsl/light/transport.wgsl"),
+    ),
+    (
+        "cloud/density.wgsl",
+        include_str!("../wgsl/cloud/density.wgsl"),
+    ),
+    (
+        "march/march.wgsl",
+        include_str!("../wgsl/march/march.wgsl"),
+    ),
+    (
+        "sky/analytic.wgsl",
+        include_str!("../wgsl/sky/analytic.wgsl"),
+    ),
+    (
+        "composite/view.wgsl",
+        include_str!("../wgsl/composite/view.wgsl"),
+    ),
+    (
+        "composite/cached.wgsl",
+        include_str!("../wgsl/composite/cached.wgsl"),
+    ),
+    (
+        "composite/shade.wgsl",
+        include_str!("../wgsl/composite/shade.wgsl"),
+    ),
+    (
+        "composite/tone.wgsl",
+        include_str!("../wgsl/composite/tone.wgsl"),
+    ),
+];
+
+/// A kernel that does not compose; only a change of the WGSL can bring it about.
+#[derive(Debug, thiserror::Error)]
+#[error("{kernel:?} with {features:?}: {message}")]
+pub struct ShaderError {
+    kernel: Kernel,
+    features: Features,
+    message: String,
+}
+
+/// Links a kernel with its modules.
+///
+/// # Errors
+/// When the WGSL does not parse or validate; the message points to the place.
+pub fn compose(kernel: Kernel, features: Features) -> Result<naga::Module, ShaderError> {
+    let error = |message: String| ShaderError {
+        kernel,
+        features,
+        message,
+    };
+    let definitions = features.definitions();
+    let mut composer = Composer::default();
+    for (path, source) in MODULES {
+        let added = composer.add_composable_module(ComposableModuleDescriptor {
+            source,
+            file_path: path,
+            shader_defs: definitions.clone(),
+            ..Default::default()
+        });
+        if let Err(failure) = added {
+            return Err(error(failure.emit_to_string(&composer)));
+        }
+    }
+    let (path, source) = kernel.source();
+    composer
+        .make_naga_module(NagaModuleDescriptor {
+            source,
+            file_path: path,
+            shader_defs: definitions,
+            ..Default::default()
+        })
+        .map_err(|failure| error(failure.emit_to_string(&composer)))
+}

@@ -1,0 +1,265 @@
+//! The Rust side of every struct that the shaders read, in the layout of WGSL's uniform address space.
+//!
+//! Fields carry the names of the WGSL's; padding is spelled out as `_pad…` and has no counterpart there. A test compares
+//! names, offsets and sizes with what naga parses.
+
+use bytemuck::{Pod, Zeroable};
+
+/// Offsets of a struct's fields, for the comparison with the WGSL.
+pub trait GpuLayout: Pod {
+    /// Name in the WGSL.
+    const NAME: &'static str;
+    /// Name and byte offset of every field that is not padding.
+    fn fields() -> Vec<(&'static str, usize)>;
+}
+
+macro_rules! gpu_struct {
+    ($(#[$doc:meta])* $name:ident { $($(#[$field_doc:meta])* $field:ident : $type:ty),* $(,)? }) => {
+        $(#[$doc])*
+        #[repr(C)]
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+        pub struct $name { $($(#[$field_doc])* pub $field: $type),* }
+
+        impl GpuLayout for $name {
+            const NAME: &'static str = stringify!($name);
+            fn fields() -> Vec<(&'static str, usize)> {
+                [$((stringify!($field), std::mem::offset_of!($name, $field))),*]
+                    .into_iter()
+                    .filter(|(name, _)| !name.starts_with("_pad"))
+                    .collect()
+            }
+        }
+    };
+}
+
+gpu_struct! {
+    /// The sphere on which the scene stands.
+    Planet {
+        /// Radius of the ground, m.
+        radius_m: f32,
+        /// Diffuse reflectance of the ground, 0…1.
+        ground_albedo: f32,
+        /// Fills the struct to 16 bytes, as uniforms demand of nested ones.
+        pad_uniform: [f32; 2],
+    }
+}
+
+gpu_struct! {
+    /// The sun as the cell sees it.
+    Sun {
+        /// Unit vector towards the sun.
+        direction: [f32; 3],
+        /// Angular radius, rad.
+        angular_radius_rad: f32,
+        /// Spectral irradiance above the atmosphere, W/(m² nm).
+        irradiance: [f32; 3],
+        /// 1 − cos(angular radius).
+        one_minus_mu_disc: f32,
+        /// Spectral irradiance at cloud height, facing the sun, W/(m² nm).
+        irradiance_at_clouds: [f32; 3],
+        /// Cosine factor of the sun on the ground, 0…1.
+        ground_irradiance_factor: f32,
+    }
+}
+
+gpu_struct! {
+    /// The plain analytic sky.
+    Sky {
+        /// Optical depth of the air straight up, per channel.
+        rayleigh_optical_depth: [f32; 3],
+        /// Optical depth of the aerosol straight up.
+        aerosol_optical_depth: f32,
+        /// Mean radiance of the sky above, W/(m² nm sr).
+        mean_radiance: [f32; 3],
+        /// Henyey-Greenstein asymmetry of the aerosol.
+        aerosol_asymmetry: f32,
+        /// Radiance of the lit ground, W/(m² nm sr).
+        ground_radiance: [f32; 3],
+        /// Extinction of the air near the ground, 1/m.
+        haze_extinction_per_m: f32,
+        /// Transmittance of sunlight down to the ground, per channel.
+        sun_transmittance: [f32; 3],
+        /// Scale height of the aerosol, m.
+        haze_scale_height_m: f32,
+    }
+}
+
+gpu_struct! {
+    /// How light scatters in cloud.
+    Light {
+        /// 0 isotropic, 1 Henyey-Greenstein, 2 Draine, 3 HG + Draine.
+        phase_model: u32,
+        /// Asymmetry of the Henyey-Greenstein part.
+        g_hg: f32,
+        /// Asymmetry of the Draine part.
+        g_draine: f32,
+        /// Draine's α.
+        alpha_draine: f32,
+        /// Weight of the Draine part, 0…1.
+        draine_weight: f32,
+        /// Scattering octaves, 1…16.
+        octaves: u32,
+        /// Samples towards the sun.
+        sun_steps: u32,
+        /// Length of the march towards the sun, m.
+        sun_march_distance_m: f32,
+        /// a^i.
+        octave_attenuation: [[f32; 4]; 4],
+        /// b^i, 0 beyond the last octave.
+        octave_contribution: [[f32; 4]; 4],
+        /// c^i.
+        octave_eccentricity: [[f32; 4]; 4],
+        /// Strength of ambient light.
+        ambient: f32,
+        /// Padding.
+        _pad_end: [f32; 3],
+    }
+}
+
+gpu_struct! {
+    /// One cloud layer.
+    Layer {
+        /// Lower altitude, m.
+        base_altitude_m: f32,
+        /// Upper altitude, m.
+        top_altitude_m: f32,
+        /// Extinction at density 1, 1/m.
+        extinction_per_m: f32,
+        /// Share of extinction that scatters, 0…1.
+        single_scattering_albedo: f32,
+        /// Offset into the map, in periods.
+        map_offset: [f32; 2],
+        /// Periods of the map per metre.
+        map_per_m: f32,
+        /// 0 homogeneous, 1 weather.
+        density_model: u32,
+        /// Offset into the shape noise, in periods.
+        shape_offset: [f32; 3],
+        /// Periods of the shape noise per metre.
+        shape_per_m: f32,
+        /// Offset into the detail noise, in periods.
+        detail_offset: [f32; 3],
+        /// Periods of the detail noise per metre.
+        detail_per_m: f32,
+        /// Coverage of the layer, 0…1.
+        coverage: f32,
+        /// Cloud type, 0 stratus … 1 cumulus.
+        cloud_type: f32,
+        /// Strength of the detail's erosion, 0…1.
+        detail_strength: f32,
+        /// What the map's skip channel means at 1, m.
+        skip_range_m: f32,
+        /// Index in the map array.
+        map_index: u32,
+        /// Altitude of the proxy sphere, m.
+        proxy_altitude_m: f32,
+        /// Padding.
+        _pad_anchor: [f32; 2],
+        /// Centre of the octahedral addresses in the cell's frame, m.
+        anchor: [f32; 3],
+        /// Shortest step inside cloud, m.
+        step_min_m: f32,
+        /// Step per distance from the ray's origin.
+        step_per_distance: f32,
+        /// Largest number of lit samples of a ray.
+        steps_max: u32,
+        /// Padding.
+        _pad_end: [f32; 2],
+    }
+}
+
+gpu_struct! {
+    /// Everything that the shaders know of the scene, in the frame of one cell.
+    Scene {
+        /// The planet.
+        planet: Planet,
+        /// Layers in use, sorted by the altitude of their proxy spheres.
+        layer_count: u32,
+        /// Factor from radiance to the tone curve.
+        exposure: f32,
+        /// Padding.
+        _pad_sun: [f32; 2],
+        /// The sun.
+        sun: Sun,
+        /// The sky.
+        sky: Sky,
+        /// Light in clouds.
+        light: Light,
+        /// The layers.
+        layers: [Layer; 4],
+    }
+}
+
+gpu_struct! {
+    /// One tile that takes one more sample.
+    TileWork {
+        /// Column and row of the tile at its level.
+        tile: [u32; 2],
+        /// Texels along the octahedral square at that level.
+        texels_per_side: f32,
+        /// Slot in the atlas.
+        slot: u32,
+        /// Index of the layer.
+        layer: u32,
+        /// Index of the jittered sample.
+        sample_index: u32,
+        /// Share of the sample in the new value; 1 replaces.
+        weight: f32,
+        /// Padding.
+        _pad_end: u32,
+    }
+}
+
+gpu_struct! {
+    /// Where the rays of a cell start.
+    Reference {
+        /// In the cell's frame, m.
+        position: [f32; 3],
+        /// Padding.
+        _pad_end: f32,
+    }
+}
+
+gpu_struct! {
+    /// Where a layer's tiles are found.
+    PageTable {
+        /// First entry.
+        offset: u32,
+        /// Tiles along the octahedral square.
+        tiles_per_side: u32,
+        /// Fills an element of a uniform array to 16 bytes.
+        pad_stride: [u32; 2],
+    }
+}
+
+gpu_struct! {
+    /// One viewer's camera in the frame of its cell.
+    View {
+        /// Eye, m.
+        position: [f32; 3],
+        /// Width of the picture, pixels.
+        width: u32,
+        /// Unit vector through the middle of the picture.
+        forward: [f32; 3],
+        /// Height of the picture, pixels.
+        height: u32,
+        /// Half the picture's width at distance 1.
+        right: [f32; 3],
+        /// Index of the jittered sample (screen-space renderer).
+        sample_index: u32,
+        /// Half the picture's height at distance 1.
+        up: [f32; 3],
+        /// Share of the sample in the pixel's new value.
+        sample_weight: f32,
+        /// Page tables of the layers.
+        tables: [PageTable; 4],
+        /// First row of a strip.
+        first_row: u32,
+        /// Angle of a pixel at the middle of the picture, rad.
+        pixel_angle_rad: f32,
+        /// 1 when the sample replaces what is there.
+        sample_is_first: u32,
+        /// Layer that a pass marches.
+        layer: u32,
+    }
+}

@@ -1,0 +1,65 @@
+//! The WGSL as a whole: every kernel composes and validates, and every shared struct has one layout.
+
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use skycell_shaders::layout::{self, GpuLayout};
+use skycell_shaders::{Features, Kernel, compose};
+
+#[test]
+fn every_entry_point_validates_in_every_specialisation() {
+    for kernel in Kernel::ALL {
+        for features in Features::all() {
+            let module = compose(kernel, features).unwrap_or_else(|error| panic!("{error}"));
+            Validator::new(ValidationFlags::all(), Capabilities::empty())
+                .validate(&module)
+                .unwrap_or_else(|error| panic!("{kernel:?} {features:?}: {error:?}"));
+            let names: Vec<&str> = module.entry_points.iter().map(|e| e.name.as_str()).collect();
+            assert_eq!(names, [kernel.entry_point()]);
+        }
+    }
+}
+
+/// Name without the decoration that linking adds to imported items.
+fn plain_name(decorated: &str) -> &str {
+    decorated.split("X_naga_oil").next().unwrap_or(decorated)
+}
+
+fn wgsl_layout(module: &naga::Module, name: &str) -> Option<(Vec<(String, usize)>, usize)> {
+    module.types.iter().find_map(|(_, ty)| match &ty.inner {
+        naga::TypeInner::Struct { members, span }
+            if ty.name.as_deref().map(plain_name) == Some(name) =>
+        {
+            let fields = members
+                .iter()
+                .map(|m| (m.name.clone().unwrap_or_default(), m.offset as usize))
+                .collect();
+            Some((fields, *span as usize))
+        }
+        _ => None,
+    })
+}
+
+fn check<T: GpuLayout>(kernel: Kernel) {
+    let module = compose(kernel, Features::default()).expect("composes");
+    let (fields, size) = wgsl_layout(&module, T::NAME)
+        .unwrap_or_else(|| panic!("{} is not in {kernel:?}", T::NAME));
+    let ours: Vec<(String, usize)> = T::fields()
+        .into_iter()
+        .map(|(name, offset)| (name.to_owned(), offset))
+        .collect();
+    assert_eq!(ours, fields, "fields of {}", T::NAME);
+    assert_eq!(size_of::<T>(), size, "size of {}", T::NAME);
+}
+
+#[test]
+fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
+    check::<layout::Planet>(Kernel::MarchTexels);
+    check::<layout::Sun>(Kernel::MarchTexels);
+    check::<layout::Sky>(Kernel::MarchTexels);
+    check::<layout::Light>(Kernel::MarchTexels);
+    check::<layout::Layer>(Kernel::MarchTexels);
+    check::<layout::Scene>(Kernel::MarchTexels);
+    check::<layout::TileWork>(Kernel::MarchTexels);
+    check::<layout::Reference>(Kernel::MarchTexels);
+    check::<layout::PageTable>(Kernel::Composite);
+    check::<layout::View>(Kernel::Composite);
+}

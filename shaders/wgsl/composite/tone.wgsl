@@ -1,0 +1,20 @@
+#define_import_path skycell::tone
+
+/// Filmic curve: K. Narkowicz's fit of the ACES reference transform, 2015. radiance >= 0, so the denominator is > 0.14.
+fn filmic(radiance: vec3f) -> vec3f {
+    let numerator = radiance * (2.51 * radiance + 0.03);
+    let denominator = radiance * (2.43 * radiance + 0.59) + 0.14;
+    return saturate(numerator / denominator);
+}
+
+/// sRGB's transfer function (IEC 61966-2-1); linear in 0...1.
+fn srgb_from_linear(linear: vec3f) -> vec3f {
+    let curve = 1.055 * pow(max(linear, vec3f(1e-7)), vec3f(1.0 / 2.4)) - 0.055;
+    return select(curve, 12.92 * linear, linear <= vec3f(0.0031308));
+}
+
+/// Rounds to 8 bits with a fixed pattern of half a step to either side, so that a resting picture does not flicker.
+fn dithered_bytes(encoded: vec3f, pixel: vec2u) -> u32 {
+    let noise = fract(52.9829189 * fract(dot(vec2f(pixel), vec2f(0.06711056, 0.00583715)))) - 0.5;
+    return pack4x8unorm(vec4f(saturate(encoded + noise / 255.0), 1.0));
+}

@@ -1,0 +1,37 @@
+#define_import_path skycell::view
+
+/// Where a layer's tiles are found: entry of tile (x, y) at offset + y * tiles_per_side + x.
+struct PageTable {
+    offset: u32,
+    /// Tiles along the octahedral square at the finest level that the table resolves.
+    tiles_per_side: u32,
+    pad_stride: vec2u,
+}
+
+/// One viewer's camera in the frame of its cell.
+struct View {
+    position: vec3f,
+    width: u32,
+    forward: vec3f,
+    height: u32,
+    /// Half the picture's width and height at distance 1.
+    right: vec3f,
+    sample_index: u32,
+    up: vec3f,
+    /// Share of this sample in the pixel's new value (screen-space renderer).
+    sample_weight: f32,
+    tables: array<PageTable, 4>,
+    /// First row of a strip of the picture and angle of a pixel at its centre.
+    first_row: u32,
+    pixel_angle_rad: f32,
+    sample_is_first: u32,
+    /// Layer that a pass of the screen-space renderer marches.
+    layer: u32,
+}
+
+/// Direction of the ray through a point of the picture, in pixels from its upper left corner.
+fn pixel_direction(view: View, pixel: vec2f) -> vec3f {
+    let size = vec2f(f32(view.width), f32(view.height));
+    let ndc = (2.0 * pixel / size - 1.0) * vec2f(1.0, -1.0);
+    return normalize(view.forward + ndc.x * view.right + ndc.y * view.up);
+}

@@ -1,0 +1,40 @@
+#define_import_path skycell::phase
+#import skycell::scene::Light
+
+const FOUR_PI: f32 = 12.566370614359172;
+
+/// 1 - cos of the angle between two unit vectors, exact to rounding for small angles: |a - b|² / 2.
+fn one_minus_mu(a: vec3f, b: vec3f) -> f32 {
+    let difference = a - b;
+    return 0.5 * dot(difference, difference);
+}
+
+/// Henyey-Greenstein phase, 1/sr. Denominator as (1-g)² + 2g(1-µ), which keeps its digits in the forward peak.
+/// |g| < 1, so the base is at least (1-|g|)² > 0.
+fn phase_hg_per_sr(g: f32, one_minus_mu: f32) -> f32 {
+    let base = (1.0 - g) * (1.0 - g) + 2.0 * g * one_minus_mu;
+    return (1.0 - g * g) / (FOUR_PI * base * sqrt(base));
+}
+
+/// Draine's phase, 1/sr: HG · (1 + α µ²) / (1 + α (1 + 2 g²) / 3). B. Draine, ApJ 598 (2003), eq. 4.
+fn phase_draine_per_sr(g: f32, alpha: f32, one_minus_mu: f32) -> f32 {
+    let mu = 1.0 - one_minus_mu;
+    let numerator = 1.0 + alpha * mu * mu;
+    let denominator = 1.0 + alpha * (1.0 + 2.0 * g * g) / 3.0;
+    return phase_hg_per_sr(g, one_minus_mu) * numerator / denominator;
+}
+
+/// The scene's phase function, its asymmetry scaled by `eccentricity` (1 = as it is), 1/sr.
+/// The blend is Jendersie & d'Eon 2023, eq. 3.
+fn phase_per_sr(light: Light, eccentricity: f32, one_minus_mu: f32) -> f32 {
+    let hg = phase_hg_per_sr(light.g_hg * eccentricity, one_minus_mu);
+    let draine = phase_draine_per_sr(light.g_draine * eccentricity, light.alpha_draine, one_minus_mu);
+    // The weights make the four models one expression: isotropic is HG with g = 0, set on the CPU.
+    return mix(hg, draine, light.draine_weight);
+}
+
+/// The phase averaged over the sun's disc, to first order: the mean of 1-µ over a small disc of angular radius r is
+/// (1-µ) + r²/4 = (1-µ) + (1 - cos r)/2. This tames a forward peak that is narrower than the sun.
+fn phase_over_disc_per_sr(light: Light, eccentricity: f32, one_minus_mu: f32, one_minus_mu_disc: f32) -> f32 {
+    return phase_per_sr(light, eccentricity, min(one_minus_mu + 0.5 * one_minus_mu_disc, 2.0));
+}

@@ -1,0 +1,75 @@
+// One ray per texel of a tile: fills the proxy-sphere cache.
+#import skycell::march::{scene, march_layer, sample_offset, sample_start_fraction, LayerRadiance}
+#import skycell::octahedral::direction_from_octahedral
+#import skycell::shell::{altitude_m, shell_roots}
+
+/// Texels along a stored tile, its gutters of GUTTER texels on every side included.
+const TILE_STRIDE: u32 = 64u;
+const GUTTER: u32 = 2u;
+const TILE_INTERIOR: u32 = 60u;
+/// Tiles along a page (an array layer) of the atlas.
+const PAGE_TILES: u32 = 16u;
+
+/// One tile that takes one more sample.
+struct TileWork {
+    tile: vec2u,
+    /// Texels along the whole octahedral square at the tile's level.
+    texels_per_side: f32,
+    /// Where the atlas keeps the tile.
+    slot: u32,
+    layer: u32,
+    /// Which of the jittered samples this is.
+    sample_index: u32,
+    /// Share of this sample in the texel's new value; 1 replaces.
+    weight: f32,
+}
+
+struct Reference {
+    /// Where the rays of the cell start, in the cell's frame.
+    position: vec3f,
+}
+
+@group(2) @binding(0) var<storage, read> work: array<TileWork>;
+@group(2) @binding(1) var<uniform> reference: Reference;
+@group(2) @binding(2) var previous_radiance: texture_2d<f32>;
+@group(2) @binding(3) var previous_distance: texture_2d<f32>;
+@group(2) @binding(4) var atlas_radiance: texture_storage_2d_array<rgba16float, write>;
+@group(2) @binding(5) var atlas_distance: texture_storage_2d_array<r32float, write>;
+
+@compute @workgroup_size(8, 8, 1)
+fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
+    let item = work[group.z];
+    let stored = group.xy * 8u + local.xy;
+    let texel = vec2f(item.tile * TILE_INTERIOR) + vec2f(stored) - f32(GUTTER);
+    let square = (texel + 0.5 + sample_offset(item.sample_index)) / item.texels_per_side;
+
+    let layer = scene.layers[item.layer];
+    let from_anchor = direction_from_octahedral(square);
+    let anchor_altitude = altitude_m(scene.planet.radius_m, layer.anchor);
+    let sphere = shell_roots(scene.planet.radius_m, layer.proxy_altitude_m, layer.anchor, anchor_altitude, from_anchor);
+    let on_sphere = layer.anchor + from_anchor * max(sphere.far_m, 1e-3);
+    let direction = normalize(on_sphere - reference.position);
+
+    // Equal area: every texel has the solid angle 4π / N².
+    let texel_angle = 3.5449077018110318 / item.texels_per_side;
+    let start = sample_start_fraction(texel, item.sample_index);
+    let sample = march_layer(item.layer, reference.position, direction, start, texel_angle);
+
+    let scratch = vec2u(group.z % PAGE_TILES, group.z / PAGE_TILES) * TILE_STRIDE + stored;
+    let old_radiance = textureLoad(previous_radiance, scratch, 0);
+    let old_distance = textureLoad(previous_distance, scratch, 0).x;
+    let new_radiance = vec4f(sample.single, sample.octaves, sample.ambient, sample.transmittance);
+    // The distance is weighted by opacity, else a clear sample would pull it to the ray's origin.
+    let old_opacity = (1.0 - old_radiance.w) * (1.0 - item.weight);
+    let new_opacity = (1.0 - new_radiance.w) * item.weight;
+    let opacity = old_opacity + new_opacity;
+    let distance = select(0.0, (old_distance * old_opacity + sample.distance_m * new_opacity) / max(opacity, 1e-9), opacity > 0.0);
+    // select, not mix with weight 1: whatever a fresh slot holds, NaN included, must not leak in.
+    let radiance = select(mix(old_radiance, new_radiance, item.weight), new_radiance, item.weight >= 1.0);
+
+    let in_page = item.slot % (PAGE_TILES * PAGE_TILES);
+    let target_texel = vec2u(in_page % PAGE_TILES, in_page / PAGE_TILES) * TILE_STRIDE + stored;
+    let page = item.slot / (PAGE_TILES * PAGE_TILES);
+    textureStore(atlas_radiance, target_texel, page, radiance);
+    textureStore(atlas_distance, target_texel, page, vec4f(select(distance, sample.distance_m, item.weight >= 1.0), 0.0, 0.0, 0.0));
+}

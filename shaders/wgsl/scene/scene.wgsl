@@ -1,0 +1,105 @@
+#define_import_path skycell::scene
+
+// Everything that the shaders know of the scene, in the frame of one cell: origin at the ground point of the cell, y up,
+// metres. The Rust side of each struct is in `skycell_shaders::layout`; a test compares names, offsets and sizes.
+
+/// The sphere on which the scene stands. Its centre is at (0, -radius_m, 0).
+struct Planet {
+    radius_m: f32,
+    ground_albedo: f32,
+    /// Fills the struct to 16 bytes, as uniforms demand of nested ones.
+    pad_uniform: vec2f,
+}
+
+/// The sun, as seen from the cell.
+struct Sun {
+    /// Unit vector towards the sun.
+    direction: vec3f,
+    angular_radius_rad: f32,
+    /// Spectral irradiance above the atmosphere, per colour channel.
+    irradiance: vec3f,
+    /// 1 - cos(angular radius), computed in f64: the shader's cosine would cancel.
+    one_minus_mu_disc: f32,
+    /// Spectral irradiance on a surface that faces the sun at cloud height.
+    irradiance_at_clouds: vec3f,
+    /// Spectral irradiance on the ground, from the sun alone.
+    ground_irradiance_factor: f32,
+}
+
+/// The plain analytic sky: optical depths of the whole column straight up.
+struct Sky {
+    rayleigh_optical_depth: vec3f,
+    aerosol_optical_depth: f32,
+    /// Mean radiance of the sky's upper hemisphere (in-scattered into clouds as ambient light).
+    mean_radiance: vec3f,
+    aerosol_asymmetry: f32,
+    /// Radiance of the sunlit ground.
+    ground_radiance: vec3f,
+    /// Extinction of the air near the ground for the aerial perspective, 1/m.
+    haze_extinction_per_m: f32,
+    /// Transmittance of sunlight down to the ground.
+    sun_transmittance: vec3f,
+    haze_scale_height_m: f32,
+}
+
+/// How light scatters in cloud.
+struct Light {
+    /// 0 isotropic, 1 Henyey-Greenstein, 2 Draine, 3 HG + Draine.
+    phase_model: u32,
+    g_hg: f32,
+    g_draine: f32,
+    alpha_draine: f32,
+    draine_weight: f32,
+    octaves: u32,
+    sun_steps: u32,
+    sun_march_distance_m: f32,
+    /// Octave i in component i % 4 of element i / 4: a^i, b^i (0 beyond the last octave) and c^i.
+    octave_attenuation: array<vec4f, 4>,
+    octave_contribution: array<vec4f, 4>,
+    octave_eccentricity: array<vec4f, 4>,
+    ambient: f32,
+}
+
+/// One cloud layer. Offsets are fractions of a period, reduced in f64 on the CPU, so that time and place never cost
+/// precision here.
+struct Layer {
+    base_altitude_m: f32,
+    top_altitude_m: f32,
+    extinction_per_m: f32,
+    single_scattering_albedo: f32,
+    map_offset: vec2f,
+    map_per_m: f32,
+    /// 0 homogeneous, 1 weather.
+    density_model: u32,
+    shape_offset: vec3f,
+    shape_per_m: f32,
+    detail_offset: vec3f,
+    detail_per_m: f32,
+    coverage: f32,
+    cloud_type: f32,
+    detail_strength: f32,
+    /// Horizontal distance that the map's skip channel means at 1, m.
+    skip_range_m: f32,
+    /// Index of this layer's map in the map array.
+    map_index: u32,
+    /// Where the proxy sphere stands, m above ground.
+    proxy_altitude_m: f32,
+    /// Centre of the octahedral addresses, in the cell's frame; drifts with the layer's wind.
+    anchor: vec3f,
+    /// Shortest step inside cloud, m.
+    step_min_m: f32,
+    /// Step per distance from the ray's origin.
+    step_per_distance: f32,
+    /// Longest number of lit samples of a ray.
+    steps_max: u32,
+}
+
+struct Scene {
+    planet: Planet,
+    layer_count: u32,
+    exposure: f32,
+    sun: Sun,
+    sky: Sky,
+    light: Light,
+    layers: array<Layer, 4>,
+}
