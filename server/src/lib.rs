@@ -1,5 +1,7 @@
-//! Skycell's render service.
+//! Skycell's render service: shared sky caches, one composited frame per viewer.
 //!
-//! Modules stand in the order in which a camera becomes a frame.
+//! The modules stand in the order in which data passes them.
 
+pub mod clock;
 pub mod field;
+pub mod frame_loop;
