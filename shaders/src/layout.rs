@@ -205,8 +205,8 @@ gpu_struct! {
         sample_index: u32,
         /// Share of the sample in the new value; 1 replaces.
         weight: f32,
-        /// Padding.
-        _pad_end: u32,
+        /// Place of the old texels on the working page.
+        previous: u32,
     }
 }
 

@@ -315,6 +315,8 @@ pub struct CellStats {
     pub texels_unique: u64,
     /// Share of requested texels that another viewer requests too, 0 to 1.
     pub overlap: f64,
+    /// Texels of the coarse level that no viewer requests and that are kept so that there are no holes.
+    pub texels_coarse: u64,
     /// Texels that wait for an update.
     pub texels_pending: u64,
     /// Tiles that are allocated.

@@ -2,3 +2,10 @@
 //! back.
 
 pub mod interface;
+mod renderer;
+mod screen_space;
+mod stats;
+mod still;
+
+pub use renderer::RenderConfig;
+pub use still::{StillPixels, StillRenderer};

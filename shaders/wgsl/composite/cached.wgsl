@@ -49,6 +49,7 @@ fn read_radiance(texel: vec2f, page: u32) -> vec4f {
 
 /// What the cache holds of a layer in a direction from its anchor. Without any tile: clear sky.
 fn cached_radiance(offset: u32, tiles_per_side: u32, from_anchor: vec3f) -> LayerRadiance {
+    if tiles_per_side == 0u { return LayerRadiance(0.0, 0.0, 0.0, 1.0, 0.0); }
     let square = octahedral_from_direction(from_anchor);
     let tiles = f32(tiles_per_side);
     let tile = min(vec2u(square * tiles), vec2u(tiles_per_side - 1u));

@@ -22,6 +22,8 @@ struct TileWork {
     sample_index: u32,
     /// Share of this sample in the texel's new value; 1 replaces.
     weight: f32,
+    /// Place of the old texels on the working page.
+    previous: u32,
 }
 
 struct Reference {
@@ -55,7 +57,7 @@ fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
     let start = sample_start_fraction(texel, item.sample_index);
     let sample = march_layer(item.layer, reference.position, direction, start, texel_angle);
 
-    let scratch = vec2u(group.z % PAGE_TILES, group.z / PAGE_TILES) * TILE_STRIDE + stored;
+    let scratch = vec2u(item.previous % PAGE_TILES, item.previous / PAGE_TILES) * TILE_STRIDE + stored;
     let old_radiance = textureLoad(previous_radiance, scratch, 0);
     let old_distance = textureLoad(previous_distance, scratch, 0).x;
     let new_radiance = vec4f(sample.single, sample.octaves, sample.ambient, sample.transmittance);

@@ -1,0 +1,235 @@
+//! The proxy-sphere caches: which texels exist, who wants them, which are marched next. Pure bookkeeping; the device
+//! side is in `march`.
+
+mod address;
+mod pool;
+mod requests;
+mod sphere;
+
+pub use address::{
+    BASE_TILES, GUTTER, LEVELS, TILE_INTERIOR, TILE_STRIDE, TileKey, direction_from_octahedral,
+    octahedral_from_direction, texel_solid_angle_sr,
+};
+pub use pool::{Slot, SlotPool};
+pub use requests::{ProxySphere, TileRequest, ViewFrustum, coarse_tiles, requested_tiles};
+pub use sphere::{NO_TILE, PageTables, SphereCache, Want};
+
+use glam::DVec3;
+use skycell_protocol::CellId;
+use std::collections::BTreeMap;
+
+/// Texels of a stored tile.
+pub const TEXELS_PER_TILE: u64 = (TILE_STRIDE * TILE_STRIDE) as u64;
+/// Bytes of a texel: four half floats of radiance and transmittance, one float of distance.
+pub const BYTES_PER_TEXEL: u64 = 12;
+/// A tile that no frame has shown for so long may lose its slot.
+pub const UNSEEN_FRAMES: u64 = 20;
+
+/// One proxy sphere: a layer of the scene in a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct SphereId {
+    /// The cell.
+    pub cell: CellId,
+    /// Index among the active layers.
+    pub layer: u32,
+}
+
+/// One tile that takes a sample now.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TileUpdate {
+    /// The sphere.
+    pub sphere: SphereId,
+    /// The tile.
+    pub key: TileKey,
+    /// Where it is stored.
+    pub slot: Slot,
+    /// Which of the jittered samples.
+    pub sample_index: u32,
+    /// Share of the sample in the new value.
+    pub weight: f32,
+}
+
+/// All spheres of all cells over one pool of slots.
+#[derive(Debug)]
+pub struct Caches {
+    pool: SlotPool,
+    spheres: BTreeMap<SphereId, SphereCache>,
+    samples: u32,
+    frame: u64,
+    evicted: u64,
+}
+
+impl Caches {
+    /// Caches of at most `tiles_max` tiles whose texels average `samples` samples.
+    #[must_use]
+    pub fn new(tiles_max: u32, samples: u32) -> Self {
+        Self {
+            pool: SlotPool::new(tiles_max),
+            spheres: BTreeMap::new(),
+            samples: samples.max(1),
+            frame: 0,
+            evicted: 0,
+        }
+    }
+
+    /// A sphere; made when it is not there.
+    pub fn sphere_mut(&mut self, id: SphereId) -> &mut SphereCache {
+        self.spheres.entry(id).or_default()
+    }
+
+    /// A sphere.
+    #[must_use]
+    pub fn sphere(&self, id: SphereId) -> Option<&SphereCache> {
+        self.spheres.get(&id)
+    }
+
+    /// Spheres of a cell.
+    pub fn spheres_of(&self, cell: CellId) -> impl Iterator<Item = (&SphereId, &SphereCache)> {
+        self.spheres.iter().filter(move |(id, _)| id.cell == cell)
+    }
+
+    /// Gives up all tiles of a cell.
+    pub fn remove_cell(&mut self, cell: CellId) {
+        let gone: Vec<SphereId> = self.spheres_of(cell).map(|(id, _)| *id).collect();
+        for id in gone {
+            if let Some(mut sphere) = self.spheres.remove(&id) {
+                for slot in sphere.clear() {
+                    self.pool.release(slot);
+                }
+            }
+        }
+    }
+
+    /// Everything shows an older scene from now on; it is shown until it is marched anew.
+    pub fn age_all(&mut self) {
+        for sphere in self.spheres.values_mut() {
+            sphere.age_all();
+        }
+    }
+
+    /// A frame was composited for a cell: its wanted tiles were seen.
+    pub fn frame_shown(&mut self, cell: CellId) {
+        self.frame += 1;
+        for (id, sphere) in &mut self.spheres {
+            if id.cell == cell {
+                sphere.touch(self.frame);
+            }
+        }
+    }
+
+    /// Chooses at most `tiles_max` updates, the most urgent first, and gives new tiles their slots. `references` are the
+    /// reference points of the spheres in the frames that drift with their layers.
+    pub fn plan(
+        &mut self,
+        tiles_max: usize,
+        references: impl Fn(SphereId) -> Option<DVec3>,
+    ) -> Vec<TileUpdate> {
+        let mut candidates = Vec::new();
+        let mut found = Vec::new();
+        for (id, sphere) in &self.spheres {
+            let Some(reference) = references(*id) else {
+                continue;
+            };
+            sphere.candidates(self.samples, reference, &mut found);
+            candidates.extend(found.drain(..).map(|candidate| (*id, reference, candidate)));
+        }
+        candidates.sort_unstable_by(|a, b| a.2.rank(&b.2).then(a.0.cmp(&b.0)));
+        let mut evictable: Option<Vec<(u64, SphereId, TileKey)>> = None;
+        let mut updates = Vec::new();
+        for (id, reference, candidate) in candidates {
+            if updates.len() == tiles_max {
+                break;
+            }
+            let resident = self
+                .spheres
+                .get(&id)
+                .is_some_and(|sphere| sphere.tiles.contains_key(&candidate.key));
+            if !resident {
+                let Some(slot) = self.pool.allocate().or_else(|| self.evict(&mut evictable)) else {
+                    // The budget is spent on what is seen: this tile is shown by a coarser one.
+                    continue;
+                };
+                if let Some(sphere) = self.spheres.get_mut(&id) {
+                    sphere.insert(candidate.key, slot, self.frame);
+                }
+            }
+            let sample = self
+                .spheres
+                .get_mut(&id)
+                .and_then(|sphere| sphere.sample(candidate.key, self.samples, reference));
+            if let Some((slot, sample_index, weight)) = sample {
+                updates.push(TileUpdate {
+                    sphere: id,
+                    key: candidate.key,
+                    slot,
+                    sample_index,
+                    weight,
+                });
+            }
+        }
+        updates
+    }
+
+    /// The slot of the tile that was unseen for longest. The list is made at the first call and used up.
+    fn evict(&mut self, list: &mut Option<Vec<(u64, SphereId, TileKey)>>) -> Option<Slot> {
+        let list = list.get_or_insert_with(|| {
+            let mut all: Vec<_> = self
+                .spheres
+                .iter()
+                .flat_map(|(id, sphere)| {
+                    sphere
+                        .evictable(self.frame, UNSEEN_FRAMES)
+                        .into_iter()
+                        .map(|(seen, key)| (seen, *id, key))
+                })
+                .collect();
+            all.sort_unstable_by(|a, b| b.cmp(a));
+            all
+        });
+        let (_, id, key) = list.pop()?;
+        self.evicted += 1;
+        self.spheres.get_mut(&id)?.remove(&key)
+    }
+
+    /// Whether nothing is left to do for any sphere that has a reference.
+    #[must_use]
+    pub fn has_work(&self, references: impl Fn(SphereId) -> Option<DVec3>) -> bool {
+        let mut found = Vec::new();
+        for (id, sphere) in &self.spheres {
+            if let Some(reference) = references(*id) {
+                sphere.candidates(self.samples, reference, &mut found);
+                if !found.is_empty() {
+                    return true;
+                }
+            }
+        }
+        false
+    }
+
+    /// Samples that a texel averages.
+    #[must_use]
+    pub fn samples(&self) -> u32 {
+        self.samples
+    }
+
+    /// Tiles that have lost their slot to others so far.
+    #[must_use]
+    pub fn evicted(&self) -> u64 {
+        self.evicted
+    }
+
+    /// Tiles that have a slot.
+    #[must_use]
+    pub fn resident(&self) -> u32 {
+        self.pool.used()
+    }
+
+    /// Slots that an atlas must hold.
+    #[must_use]
+    pub fn slots_needed(&self) -> u32 {
+        self.pool.high_water()
+    }
+}
+
+#[cfg(test)]
+mod tests;

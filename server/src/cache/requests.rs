@@ -1,0 +1,266 @@
+//! Which tiles a viewer needs: those inside its frustum and above its horizon, at the level of its pixels.
+
+use super::address::{LEVELS, TileKey, texel_solid_angle_sr};
+use crate::march::CellFrame;
+use glam::{DVec2, DVec3};
+
+/// A texel may look this much wider than the pixel that shows it before the next level is asked for.
+/// Tuned: FLIP between cached and screen-space pictures (`tests/tests/accuracy.rs`).
+const TEXELS_PER_PIXEL_MAX: f64 = 1.1;
+
+/// A camera in the frame of a cell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ViewFrustum {
+    /// Eye.
+    pub position: DVec3,
+    /// Unit vector through the middle of the picture.
+    pub forward: DVec3,
+    /// Half the picture's width at distance 1.
+    pub right: DVec3,
+    /// Half the picture's height at distance 1.
+    pub up: DVec3,
+    /// Angle of a pixel at the middle of the picture, rad.
+    pub pixel_angle_rad: f64,
+}
+
+/// Where a layer's texels lie.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProxySphere {
+    /// The cell's frame.
+    pub frame: CellFrame,
+    /// Centre of the addresses, inside the sphere, in the cell's frame.
+    pub anchor: DVec3,
+    /// Altitude of the sphere, m.
+    pub altitude_m: f64,
+}
+
+impl ProxySphere {
+    /// The point of the sphere in a direction from the anchor.
+    #[must_use]
+    pub fn point(&self, from_anchor: DVec3) -> DVec3 {
+        let distance = self
+            .frame
+            .distance_to_shell_m(self.anchor, from_anchor, self.altitude_m);
+        self.anchor + from_anchor * distance
+    }
+}
+
+impl ViewFrustum {
+    /// Inward normals of the four side planes.
+    fn planes(&self) -> [DVec3; 4] {
+        let (f, r, u) = (self.forward, self.right, self.up);
+        // A side's normal is perpendicular to its corner rays.
+        [
+            (f + r).cross(u),
+            u.cross(f - r),
+            r.cross(f + u),
+            (f - u).cross(r),
+        ]
+        .map(|n| {
+            let n = n.normalize_or_zero();
+            if n.dot(f) < 0.0 { -n } else { n }
+        })
+    }
+}
+
+/// A cone that holds a tile as seen from a point.
+struct Cone {
+    axis: DVec3,
+    half_angle_rad: f64,
+    distance_m: f64,
+    /// Solid angle of the tile's sphere element seen from the eye, relative to that seen from the anchor.
+    solid_angle_ratio: f64,
+}
+
+fn tile_cone(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> Cone {
+    let middle = sphere.point(tile.direction(DVec2::splat(0.5)));
+    let axis = (middle - eye).normalize_or_zero();
+    let mut half_angle_rad: f64 = 0.0;
+    for y in 0..3 {
+        for x in 0..3 {
+            let within = DVec2::new(f64::from(x), f64::from(y)) / 2.0;
+            let to = (sphere.point(tile.direction(within)) - eye).normalize_or_zero();
+            half_angle_rad = half_angle_rad.max(axis.angle_between(to));
+        }
+    }
+    let from_anchor = middle - sphere.anchor;
+    let from_eye = middle - eye;
+    let normal = (middle + DVec3::Y * sphere.frame.planet_radius_m()).normalize_or_zero();
+    let slant = |v: DVec3| v.normalize_or_zero().dot(normal).abs().max(1e-3);
+    let solid_angle_ratio = from_anchor.length_squared() / from_eye.length_squared().max(1.0)
+        * slant(from_eye)
+        / slant(from_anchor);
+    Cone {
+        axis,
+        // Edges bulge between the nine points by less than a tenth.
+        half_angle_rad: 1.1 * half_angle_rad,
+        distance_m: from_eye.length(),
+        solid_angle_ratio,
+    }
+}
+
+fn may_be_seen(cone: &Cone, planes: &[DVec3], horizon_dip_rad: f64) -> bool {
+    let elevation_rad = cone.axis.y.clamp(-1.0, 1.0).asin();
+    if elevation_rad + cone.half_angle_rad < -horizon_dip_rad {
+        return false;
+    }
+    // A cone wider than a right angle reaches behind every plane.
+    cone.half_angle_rad >= std::f64::consts::FRAC_PI_2
+        || planes
+            .iter()
+            .all(|plane| plane.dot(cone.axis) >= -cone.half_angle_rad.sin())
+}
+
+/// Angle of the horizon below the horizontal at an altitude.
+fn horizon_dip_rad(frame: &CellFrame, eye: DVec3) -> f64 {
+    let altitude_m = frame.altitude_m(eye).max(0.0);
+    (frame.planet_radius_m() / (frame.planet_radius_m() + altitude_m)).acos()
+}
+
+/// A tile that a viewer wants, with how far it lies from the middle of the picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TileRequest {
+    /// The tile.
+    pub key: TileKey,
+    /// Angle from the middle of the picture, rad.
+    pub eccentricity_rad: f64,
+    /// Distance of the tile from the viewer, m.
+    pub distance_m: f64,
+}
+
+/// The tiles that a viewer needs of one sphere, none twice, none covering another.
+#[must_use]
+pub fn requested_tiles(
+    view: &ViewFrustum,
+    sphere: &ProxySphere,
+    mip_bias: f64,
+) -> Vec<TileRequest> {
+    let planes = view.planes();
+    let dip_rad = horizon_dip_rad(&sphere.frame, view.position);
+    let allowed = TEXELS_PER_PIXEL_MAX * mip_bias.exp2();
+    let mut requests = Vec::new();
+    let mut open: Vec<TileKey> = TileKey::all_of(0).collect();
+    while let Some(tile) = open.pop() {
+        let cone = tile_cone(sphere, tile, view.position);
+        if !may_be_seen(&cone, &planes, dip_rad) {
+            continue;
+        }
+        // A pixel θ off the middle has cos³θ of the solid angle.
+        let mu = cone.axis.dot(view.forward).max(0.2);
+        let pixel_sr = view.pixel_angle_rad.powi(2) * mu.powi(3);
+        let texel_sr = texel_solid_angle_sr(tile.level) * cone.solid_angle_ratio;
+        if (texel_sr / pixel_sr).sqrt() > allowed && tile.level + 1 < LEVELS {
+            open.extend(tile.children());
+        } else {
+            requests.push(TileRequest {
+                key: tile,
+                eccentricity_rad: cone.axis.angle_between(view.forward),
+                distance_m: cone.distance_m,
+            });
+        }
+    }
+    requests
+}
+
+/// The tiles of the coarsest level that can be seen from a point in any direction.
+#[must_use]
+pub fn coarse_tiles(sphere: &ProxySphere, eye: DVec3) -> Vec<TileRequest> {
+    let dip_rad = horizon_dip_rad(&sphere.frame, eye);
+    TileKey::all_of(0)
+        .filter_map(|key| {
+            let cone = tile_cone(sphere, key, eye);
+            may_be_seen(&cone, &[], dip_rad).then_some(TileRequest {
+                key,
+                eccentricity_rad: std::f64::consts::FRAC_PI_2 - cone.axis.y.clamp(-1.0, 1.0).asin(),
+                distance_m: cone.distance_m,
+            })
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::address::octahedral_from_direction;
+    use super::*;
+    use proptest::prelude::*;
+
+    fn view(yaw: f64, pitch: f64, fov: f64, width: u32, height: u32) -> ViewFrustum {
+        let (yaw, pitch) = (yaw.to_radians(), pitch.to_radians());
+        let forward = DVec3::new(yaw.sin() * pitch.cos(), pitch.sin(), -yaw.cos() * pitch.cos());
+        let right = DVec3::new(yaw.cos(), 0.0, yaw.sin());
+        let half = (fov.to_radians() / 2.0).tan();
+        ViewFrustum {
+            position: DVec3::new(0.0, 2.0, 0.0),
+            forward,
+            right: right * half * f64::from(width) / f64::from(height),
+            up: right.cross(forward) * half,
+            pixel_angle_rad: 2.0 * half / f64::from(height),
+        }
+    }
+
+    fn sphere() -> ProxySphere {
+        ProxySphere {
+            frame: CellFrame::at(DVec3::ZERO, 6.36e6),
+            anchor: DVec3::new(300.0, 0.0, -200.0),
+            altitude_m: 2_200.0,
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        /// The oracle walks the pixels: whatever tile holds a pixel's texel must have been requested at some level.
+        #[test]
+        fn every_pixel_of_the_sky_finds_its_tile(yaw in 0.0..360.0f64, pitch in -60.0..90.0f64, fov in 5.0..120.0f64) {
+            let view = view(yaw, pitch, fov, 64, 36);
+            let sphere = sphere();
+            let tiles: std::collections::HashSet<TileKey> =
+                requested_tiles(&view, &sphere, 0.0).iter().map(|r| r.key).collect();
+            for row in 0..36 {
+                for column in 0..64 {
+                    let x = 2.0 * (f64::from(column) + 0.5) / 64.0 - 1.0;
+                    let y = 1.0 - 2.0 * (f64::from(row) + 0.5) / 36.0;
+                    let direction = (view.forward + x * view.right + y * view.up).normalize();
+                    if direction.y < 0.0 { continue; }
+                    let distance = sphere.frame.distance_to_shell_m(view.position, direction, sphere.altitude_m);
+                    let point = view.position + direction * distance;
+                    let square = octahedral_from_direction((point - sphere.anchor).normalize());
+                    let found = (0..LEVELS).any(|level| {
+                        let side = f64::from(TileKey::tiles_per_side(level));
+                        let at = (square * side).floor().min(DVec2::splat(side - 1.0));
+                        tiles.contains(&TileKey { level, x: at.x as u16, y: at.y as u16 })
+                    });
+                    prop_assert!(found, "pixel {column} {row}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn no_requested_tile_covers_another() {
+        let tiles: Vec<TileKey> = requested_tiles(&view(30.0, 20.0, 60.0, 1280, 720), &sphere(), 0.0)
+            .iter()
+            .map(|r| r.key)
+            .collect();
+        for tile in &tiles {
+            let mut ancestor = tile.parent();
+            while let Some(a) = ancestor {
+                assert!(!tiles.contains(&a));
+                ancestor = a.parent();
+            }
+        }
+        assert!(tiles.len() > 50);
+    }
+
+    #[test]
+    fn each_step_of_mip_bias_quarters_the_request() {
+        let count = |bias| requested_tiles(&view(0.0, 45.0, 60.0, 1920, 1080), &sphere(), bias).len();
+        assert!(count(0.0) > 3 * count(1.0));
+    }
+
+    #[test]
+    fn nothing_below_the_horizon_is_requested() {
+        assert!(requested_tiles(&view(0.0, -89.0, 40.0, 640, 360), &sphere(), 0.0).is_empty());
+        let coarse = coarse_tiles(&sphere(), DVec3::new(0.0, 2.0, 0.0));
+        assert!(coarse.len() < 25 && coarse.len() >= 12, "{}", coarse.len());
+    }
+}

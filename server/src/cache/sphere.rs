@@ -1,0 +1,333 @@
+//! The tiles of one proxy sphere: what its viewers want, what is resident, what an update would gain.
+
+use super::address::TileKey;
+use super::pool::Slot;
+use super::requests::TileRequest;
+use glam::DVec3;
+use std::collections::HashMap;
+
+/// A tile is marched anew when the reference point has moved this far, as an angle seen from what it shows. About four
+/// pixels of a small picture: below it the change of perspective is not seen.
+pub(super) const AGE_REFRESH_RAD: f64 = 0.012;
+/// Beyond this angle old and new samples no longer show the same picture: accumulation starts again.
+pub(super) const AGE_RESTART_RAD: f64 = 0.06;
+/// Share of a sample that refreshes an aged but converged tile.
+const REFRESH_WEIGHT: f32 = 0.25;
+
+/// A tile that has a slot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Tile {
+    pub(super) slot: Slot,
+    /// Samples of the current generation, 0 before the first.
+    samples: u32,
+    /// Samples ever: 0 means that the slot holds nothing to show.
+    visits: u32,
+    generation: u32,
+    /// Reference point at the last sample, in the frame that drifts with the layer's wind.
+    marched_from: DVec3,
+    pub(super) last_seen_frame: u64,
+}
+
+/// What viewers ask of a tile.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Want {
+    /// How many viewers request it; 0 for the coarse level that nobody requests and everybody needs.
+    pub viewers: u32,
+    /// Smallest angle from the middle of a picture.
+    pub eccentricity_rad: f64,
+    /// Distance of what it shows, m.
+    pub distance_m: f64,
+}
+
+/// How urgent an update is: smaller first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Urgency {
+    /// Part of the coarse level without a picture of the present sky.
+    Coarse,
+    /// Wanted and never marched.
+    Missing,
+    /// Shows an older scene.
+    Stale,
+    /// Has fewer samples than it should.
+    Unfinished,
+    /// Part of the coarse level with fewer samples than it should.
+    CoarseUnfinished,
+    /// Seen from elsewhere than where the reference is now.
+    Aged,
+}
+
+/// An update that a sphere would like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Candidate {
+    pub(super) key: TileKey,
+    pub(super) urgency: Urgency,
+    samples: u32,
+    eccentricity_rad: f64,
+}
+
+impl Candidate {
+    /// Order of updates: urgency, then fewest samples, then nearest to the middle of a picture.
+    pub(super) fn rank(&self, other: &Self) -> std::cmp::Ordering {
+        (self.urgency, self.samples)
+            .cmp(&(other.urgency, other.samples))
+            .then(self.eccentricity_rad.total_cmp(&other.eccentricity_rad))
+            .then(self.key.cmp(&other.key))
+    }
+}
+
+/// Marks a table entry without a tile.
+pub const NO_TILE: u32 = u32::MAX;
+
+/// The tables of all levels, one after another: entry = slot | level of the tile in the slot << 16.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct PageTables {
+    /// Entries.
+    pub entries: Vec<u32>,
+    /// Where each level's table starts.
+    pub level_offsets: Vec<u32>,
+}
+
+/// The tiles of one proxy sphere.
+#[derive(Debug, Default)]
+pub struct SphereCache {
+    pub(super) tiles: HashMap<TileKey, Tile>,
+    wanted: HashMap<TileKey, Want>,
+    generation: u32,
+    /// Whether tables must be made anew.
+    tables_changed: bool,
+}
+
+impl SphereCache {
+    /// Everything marched so far shows an older scene.
+    pub fn age_all(&mut self) {
+        self.generation = self.generation.wrapping_add(1);
+    }
+
+    /// Replaces what viewers want by the union of their requests and the coarse level.
+    pub fn set_wanted<'a>(
+        &mut self,
+        coarse: &[TileRequest],
+        requests: impl IntoIterator<Item = &'a TileRequest>,
+    ) {
+        self.wanted.clear();
+        for request in coarse {
+            self.wanted.insert(
+                request.key,
+                Want {
+                    viewers: 0,
+                    eccentricity_rad: request.eccentricity_rad,
+                    distance_m: request.distance_m,
+                },
+            );
+        }
+        for request in requests {
+            let want = self.wanted.entry(request.key).or_insert(Want {
+                viewers: 0,
+                eccentricity_rad: f64::INFINITY,
+                distance_m: request.distance_m,
+            });
+            want.viewers += 1;
+            want.eccentricity_rad = want.eccentricity_rad.min(request.eccentricity_rad);
+        }
+    }
+
+    /// Marks wanted tiles as seen in a frame.
+    pub fn touch(&mut self, frame: u64) {
+        for key in self.wanted.keys() {
+            if let Some(tile) = self.tiles.get_mut(key) {
+                tile.last_seen_frame = frame;
+            }
+        }
+    }
+
+    /// Tiles that are wanted by viewers: summed over the viewers and each once. The coarse level is nobody's request.
+    #[must_use]
+    pub fn requested_and_unique(&self) -> (u64, u64) {
+        self.wanted.values().fold((0, 0), |(sum, unique), want| {
+            (
+                sum + u64::from(want.viewers),
+                unique + u64::from(want.viewers > 0),
+            )
+        })
+    }
+
+    /// Tiles of the coarse level that no viewer requests.
+    #[must_use]
+    pub fn coarse_only(&self) -> u64 {
+        self.wanted.values().filter(|want| want.viewers == 0).count() as u64
+    }
+
+    /// Tiles with a slot.
+    #[must_use]
+    pub fn resident(&self) -> usize {
+        self.tiles.len()
+    }
+
+    fn samples_of(&self, key: &TileKey) -> Option<u32> {
+        let tile = self.tiles.get(key)?;
+        Some(if tile.generation == self.generation {
+            tile.samples
+        } else {
+            0
+        })
+    }
+
+    /// Samples that are missing until every wanted tile has `samples`, in tiles.
+    #[must_use]
+    pub fn pending_samples(&self, samples: u32) -> u64 {
+        self.wanted
+            .keys()
+            .map(|key| u64::from(samples.saturating_sub(self.samples_of(key).unwrap_or(0))))
+            .sum()
+    }
+
+    /// Whether a tile shows the present scene at all.
+    #[must_use]
+    pub fn shows_present(&self, key: &TileKey) -> bool {
+        self.samples_of(key).is_some_and(|samples| samples > 0)
+    }
+
+    /// Updates that would gain something.
+    pub(super) fn candidates(&self, samples: u32, reference: DVec3, into: &mut Vec<Candidate>) {
+        for (key, want) in &self.wanted {
+            let coarse = key.level == 0;
+            let tile = self.tiles.get(key);
+            let have = self.samples_of(key).unwrap_or(0);
+            let urgency = match tile {
+                None if coarse => Urgency::Coarse,
+                None => Urgency::Missing,
+                Some(tile) if tile.visits == 0 && coarse => Urgency::Coarse,
+                Some(tile) if tile.visits == 0 => Urgency::Missing,
+                Some(_) if have == 0 && coarse => Urgency::Coarse,
+                Some(_) if have == 0 => Urgency::Stale,
+                Some(_) if have < samples && want.viewers == 0 => Urgency::CoarseUnfinished,
+                Some(_) if have < samples => Urgency::Unfinished,
+                Some(tile)
+                    if age_rad(tile, reference, want.distance_m) > AGE_REFRESH_RAD =>
+                {
+                    Urgency::Aged
+                }
+                Some(_) => continue,
+            };
+            into.push(Candidate {
+                key: *key,
+                urgency,
+                samples: have,
+                eccentricity_rad: want.eccentricity_rad,
+            });
+        }
+    }
+
+    /// Gives a tile a slot.
+    pub(super) fn insert(&mut self, key: TileKey, slot: Slot, frame: u64) {
+        self.tiles.insert(
+            key,
+            Tile {
+                slot,
+                samples: 0,
+                visits: 0,
+                generation: self.generation,
+                marched_from: DVec3::ZERO,
+                last_seen_frame: frame,
+            },
+        );
+    }
+
+    /// Notes that a tile takes a sample now; returns its slot, the index of the sample and its share of the new value.
+    pub(super) fn sample(
+        &mut self,
+        key: TileKey,
+        samples: u32,
+        reference: DVec3,
+    ) -> Option<(Slot, u32, f32)> {
+        let distance_m = self.wanted.get(&key).map_or(1.0, |want| want.distance_m);
+        let tile = self.tiles.get_mut(&key)?;
+        let stale = tile.visits == 0 || tile.generation != self.generation;
+        if stale || age_rad(tile, reference, distance_m) > AGE_RESTART_RAD {
+            tile.samples = 0;
+        }
+        let weight = if tile.samples < samples {
+            1.0 / (tile.samples + 1) as f32
+        } else {
+            REFRESH_WEIGHT
+        };
+        let index = if tile.samples < samples {
+            tile.samples
+        } else {
+            tile.visits % samples
+        };
+        if tile.visits == 0 {
+            self.tables_changed = true;
+        }
+        tile.samples = (tile.samples + 1).min(samples);
+        tile.visits = tile.visits.wrapping_add(1).max(1);
+        tile.generation = self.generation;
+        tile.marched_from = reference;
+        Some((tile.slot, index, weight))
+    }
+
+    /// Takes a tile's slot away.
+    pub(super) fn remove(&mut self, key: &TileKey) -> Option<Slot> {
+        self.tables_changed = true;
+        self.tiles.remove(key).map(|tile| tile.slot)
+    }
+
+    /// Takes every slot away.
+    pub(super) fn clear(&mut self) -> Vec<Slot> {
+        self.tables_changed = true;
+        self.tiles.drain().map(|(_, tile)| tile.slot).collect()
+    }
+
+    /// Whether a tile may go: neither wanted nor seen for `unseen_frames`.
+    pub(super) fn evictable(&self, frame: u64, unseen_frames: u64) -> Vec<(u64, TileKey)> {
+        self.tiles
+            .iter()
+            .filter(|(key, tile)| {
+                !self.wanted.contains_key(key) && tile.last_seen_frame + unseen_frames <= frame
+            })
+            .map(|(key, tile)| (tile.last_seen_frame, *key))
+            .collect()
+    }
+
+    /// Whether tables have changed since this was last asked.
+    pub fn take_tables_changed(&mut self) -> bool {
+        std::mem::take(&mut self.tables_changed)
+    }
+
+    /// The tables that a composite reads: for every level and tile the tile itself or the nearest coarser one that
+    /// holds a picture.
+    #[must_use]
+    pub fn page_tables(&self) -> PageTables {
+        let shown = |key: &TileKey| self.tiles.get(key).filter(|tile| tile.visits > 0);
+        let levels = 1 + self
+            .tiles
+            .keys()
+            .map(|key| key.level)
+            .max()
+            .unwrap_or_default();
+        let mut tables = PageTables::default();
+        let mut before: Option<usize> = None;
+        for level in 0..levels {
+            let start = tables.entries.len();
+            let side = TileKey::tiles_per_side(level) as usize;
+            for key in TileKey::all_of(level) {
+                let entry = match (shown(&key), before) {
+                    (Some(tile), _) => tile.slot.0 | u32::from(level) << 16,
+                    (None, Some(parents)) => {
+                        let at = usize::from(key.y / 2) * (side / 2) + usize::from(key.x / 2);
+                        tables.entries[parents + at]
+                    }
+                    (None, None) => NO_TILE,
+                };
+                tables.entries.push(entry);
+            }
+            tables.level_offsets.push(start as u32);
+            before = Some(start);
+        }
+        tables
+    }
+}
+
+fn age_rad(tile: &Tile, reference: DVec3, distance_m: f64) -> f64 {
+    tile.marched_from.distance(reference) / distance_m.max(1.0)
+}

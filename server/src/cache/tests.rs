@@ -1,0 +1,175 @@
+use super::*;
+use proptest::prelude::*;
+use std::collections::HashSet;
+
+const SPHERE: SphereId = SphereId {
+    cell: CellId(1),
+    layer: 0,
+};
+
+fn request(key: TileKey) -> TileRequest {
+    TileRequest {
+        key,
+        eccentricity_rad: 0.1,
+        distance_m: 3_000.0,
+    }
+}
+
+fn tile(level: u8, x: u16, y: u16) -> TileKey {
+    TileKey { level, x, y }
+}
+
+fn at_origin(_: SphereId) -> Option<DVec3> {
+    Some(DVec3::ZERO)
+}
+
+fn updates_until_converged(caches: &mut Caches) -> usize {
+    let mut count = 0;
+    loop {
+        let updates = caches.plan(3, at_origin);
+        if updates.is_empty() {
+            return count;
+        }
+        count += updates.len();
+    }
+}
+
+#[test]
+fn viewers_of_one_cell_share_every_texel_they_both_see() {
+    let tiles: Vec<TileRequest> = (0..10).map(|x| request(tile(2, x, 5))).collect();
+    let updates = |viewers: usize| {
+        let mut caches = Caches::new(100, 8);
+        let requests: Vec<&TileRequest> = (0..viewers).flat_map(|_| &tiles).collect();
+        caches.sphere_mut(SPHERE).set_wanted(&[], requests);
+        updates_until_converged(&mut caches)
+    };
+    assert_eq!(updates(1), 80);
+    assert_eq!(updates(16), 80);
+}
+
+#[test]
+fn a_converged_sky_needs_no_update_until_the_scene_changes() {
+    let mut caches = Caches::new(100, 8);
+    let tiles = [request(tile(1, 0, 0)), request(tile(1, 1, 0))];
+    caches.sphere_mut(SPHERE).set_wanted(&[], &tiles);
+    assert_eq!(updates_until_converged(&mut caches), 16);
+    assert!(!caches.has_work(at_origin));
+    caches.age_all();
+    assert!(caches.has_work(at_origin));
+    // What is shown stays shown while it is marched anew.
+    let tables = caches.sphere_mut(SPHERE).page_tables();
+    assert_ne!(tables.entries[tables.level_offsets[1] as usize], NO_TILE);
+    assert_eq!(updates_until_converged(&mut caches), 16);
+}
+
+#[test]
+fn the_first_sample_of_a_generation_replaces_and_the_nth_weighs_one_nth() {
+    let mut caches = Caches::new(4, 8);
+    caches
+        .sphere_mut(SPHERE)
+        .set_wanted(&[], &[request(tile(0, 1, 1))]);
+    for round in 0..2 {
+        for n in 1..=8u32 {
+            let update = caches.plan(1, at_origin)[0];
+            assert_eq!(update.sample_index, n - 1);
+            assert!((update.weight - 1.0 / n as f32).abs() < 1e-7, "{round} {n}");
+        }
+        caches.age_all();
+    }
+}
+
+#[test]
+fn a_reference_that_moves_ages_near_tiles_first_and_far_ones_not_at_all() {
+    let mut caches = Caches::new(10, 2);
+    let near = TileRequest {
+        distance_m: 2_000.0,
+        ..request(tile(1, 0, 0))
+    };
+    let far = TileRequest {
+        distance_m: 200_000.0,
+        ..request(tile(1, 5, 5))
+    };
+    caches.sphere_mut(SPHERE).set_wanted(&[], &[near, far]);
+    updates_until_converged(&mut caches);
+    let moved = |_| Some(DVec3::new(50.0, 0.0, 0.0));
+    let updates = caches.plan(10, moved);
+    assert_eq!(updates.len(), 1);
+    assert_eq!(updates[0].key, near.key);
+    assert!(caches.plan(10, moved).is_empty());
+}
+
+#[test]
+fn tiles_unseen_for_twenty_frames_give_their_slots_to_others_and_seen_ones_do_not() {
+    let mut caches = Caches::new(2, 1);
+    let first = [request(tile(1, 0, 0)), request(tile(1, 1, 0))];
+    caches.sphere_mut(SPHERE).set_wanted(&[], &first);
+    assert_eq!(caches.plan(9, at_origin).len(), 2);
+    caches.frame_shown(SPHERE.cell);
+    let second = [request(tile(1, 2, 0))];
+    caches.sphere_mut(SPHERE).set_wanted(&[], &second);
+    for _ in 0..UNSEEN_FRAMES - 1 {
+        caches.frame_shown(SPHERE.cell);
+        assert!(caches.plan(9, at_origin).is_empty(), "evicted too early");
+    }
+    caches.frame_shown(SPHERE.cell);
+    assert_eq!(caches.plan(9, at_origin).len(), 1);
+    assert_eq!(caches.evicted(), 1);
+    assert_eq!(caches.resident(), 2);
+}
+
+#[test]
+fn a_cell_that_ends_gives_back_every_slot() {
+    let mut caches = Caches::new(50, 1);
+    let tiles: Vec<_> = (0..7).map(|x| request(tile(2, x, 0))).collect();
+    caches.sphere_mut(SPHERE).set_wanted(&[], &tiles);
+    caches.plan(50, at_origin);
+    assert_eq!(caches.resident(), 7);
+    caches.remove_cell(SPHERE.cell);
+    assert_eq!(caches.resident(), 0);
+    assert_eq!(caches.slots_needed(), 0);
+}
+
+#[test]
+fn a_missing_tile_is_shown_by_the_nearest_coarser_one() {
+    let mut caches = Caches::new(50, 1);
+    let coarse = [request(tile(0, 2, 2))];
+    let fine = [request(tile(2, 8, 8))];
+    caches.sphere_mut(SPHERE).set_wanted(&coarse, &fine);
+    caches.plan(50, at_origin);
+    let tables = caches.sphere_mut(SPHERE).page_tables();
+    let side = TileKey::tiles_per_side(2) as usize;
+    let entry = |x: usize, y: usize| tables.entries[tables.level_offsets[2] as usize + y * side + x];
+    assert_eq!(entry(8, 8) >> 16, 2);
+    assert_eq!(entry(9, 8) >> 16, 0);
+    assert_eq!(entry(0, 0), NO_TILE);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    /// Random viewers look at random tiles: slots are never shared, the budget holds, and what is wanted and fits is
+    /// there.
+    #[test]
+    fn slots_have_one_owner_and_the_budget_holds(
+        limit in 4u32..40,
+        steps in proptest::collection::vec((0u16..10, 0u16..10, 1u16..5, 0u32..3), 1..60),
+    ) {
+        let mut caches = Caches::new(limit, 2);
+        for (x, y, count, layer) in steps {
+            let id = SphereId { cell: CellId(1 + layer), layer: 0 };
+            let wanted: Vec<_> = (0..count).map(|i| request(tile(1, (x + i) % 10, y))).collect();
+            caches.sphere_mut(id).set_wanted(&[], &wanted);
+            let updates = caches.plan(8, at_origin);
+            caches.frame_shown(id.cell);
+            let mut owners = HashSet::new();
+            for sphere in caches.spheres.values() {
+                for tile in sphere.tiles.values() {
+                    prop_assert!(owners.insert(tile.slot));
+                    prop_assert!(tile.slot.0 < limit);
+                }
+            }
+            prop_assert_eq!(owners.len() as u32, caches.resident());
+            let distinct: HashSet<_> = updates.iter().map(|u| (u.sphere, u.key)).collect();
+            prop_assert_eq!(distinct.len(), updates.len(), "one sample a tile and plan");
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! The screen-space renderer's work for one viewer: samples of layers in strips of rows, so that the device can serve
+//! others in between.
+
+use super::renderer::SkyRenderer;
+use crate::gpu::TimedPass;
+use crate::march::{MarchedPixels, layer_features};
+use skycell_protocol::{RendererKind, ViewerId};
+use skycell_shaders::layout;
+
+/// A picture that is being marched.
+#[derive(Debug)]
+pub(super) struct ScreenSpaceJob {
+    marched: MarchedPixels,
+    /// The view when the job began: a camera that moves on is shown by the next job.
+    view: layout::View,
+    sample: u32,
+    layer: u32,
+    row: u32,
+}
+
+/// Rows of the first strip, before any was measured.
+const FIRST_ROWS: u32 = 16;
+
+impl ScreenSpaceJob {
+    pub(super) fn marched(&self) -> &MarchedPixels {
+        &self.marched
+    }
+
+    pub(super) fn view(&self) -> layout::View {
+        self.view
+    }
+}
+
+impl SkyRenderer {
+    /// Whether a screen-space viewer's picture lacks samples.
+    pub(super) fn screen_space_pending(&self, id: ViewerId) -> bool {
+        self.viewers.get(&id).is_some_and(|viewer| {
+            viewer.view.renderer == RendererKind::ScreenSpace
+                && viewer
+                    .screen_space
+                    .as_ref()
+                    .is_none_or(|job| job.sample < self.config.samples)
+        })
+    }
+
+    /// Marches rows of a viewer's picture for about `budget_ns`; true when a sample of the whole picture is complete.
+    pub(super) fn march_screen_space(&mut self, id: ViewerId, budget_ns: u64) -> bool {
+        let Some(mut viewer) = self.viewers.remove(&id) else {
+            return false;
+        };
+        let layers = self.active.len() as u32;
+        if viewer.screen_space.is_none()
+            && let Some(view) = self.view_of(&viewer)
+        {
+            viewer.screen_space = Some(ScreenSpaceJob {
+                marched: MarchedPixels::new(
+                    &self.gpu,
+                    &self.pipelines,
+                    viewer.view.size,
+                    self.active.len(),
+                ),
+                view,
+                sample: 0,
+                layer: 0,
+                row: 0,
+            });
+        }
+        let mut complete = false;
+        if let Some(job) = &mut viewer.screen_space {
+            if layers == 0 {
+                job.sample = self.config.samples;
+                complete = true;
+            } else if job.sample < self.config.samples {
+                complete = self.march_strip(viewer.cell, job, budget_ns, layers);
+            }
+        }
+        self.viewers.insert(id, viewer);
+        complete
+    }
+
+    fn march_strip(
+        &mut self,
+        cell: skycell_protocol::CellId,
+        job: &mut ScreenSpaceJob,
+        budget_ns: u64,
+        layers: u32,
+    ) -> bool {
+        let size = job.marched.size();
+        let (ns, pixels) = self.gpu_time(TimedPass::ScreenSpace);
+        let rows = match ns.checked_div(pixels) {
+            Some(ns_per_pixel) if ns_per_pixel > 0 => {
+                (budget_ns / (ns_per_pixel * u64::from(size.width())).max(1)) as u32
+            }
+            _ => FIRST_ROWS,
+        };
+        let left = size.height() - job.row;
+        let rows = rows.next_multiple_of(8).clamp(8, left.max(8)).min(left);
+        let scene_index = self.active[job.layer as usize].scene_index;
+        let features = layer_features(&self.scene, scene_index);
+        let mut view = job.view;
+        view.first_row = job.row;
+        view.layer = job.layer;
+        view.sample_index = job.sample;
+        view.sample_is_first = u32::from(job.sample == 0);
+        view.sample_weight = 1.0 / (job.sample + 1) as f32;
+        if !self.submit_pixels(cell, &job.marched, features, &view, rows) {
+            return false;
+        }
+        self.watch_submission();
+        self.counters.submissions += 1;
+        self.counters.dispatches += 1;
+        self.counters.screen_space_marches += u64::from(rows) * u64::from(size.width());
+        job.row += rows;
+        if job.row < size.height() {
+            return false;
+        }
+        job.row = 0;
+        job.layer += 1;
+        if job.layer < layers {
+            return false;
+        }
+        job.layer = 0;
+        job.sample += 1;
+        true
+    }
+}

@@ -1,0 +1,109 @@
+//! The frame loop's figures.
+
+use super::interface::{CellStats, RenderStats, RenderTotals, ViewerRenderStats};
+use super::renderer::SkyRenderer;
+use crate::cache::{BYTES_PER_TEXEL, TEXELS_PER_TILE};
+use crate::gpu::TimedPass;
+use skycell_protocol::CellId;
+
+/// How much of what is requested is requested in common: 0 when no texel is asked for twice, 1 when all viewers ask for
+/// the same. With n viewers who request r texels in all, u of them distinct, (r − u) / (r − r/n).
+#[must_use]
+pub(super) fn overlap(viewers: usize, requested: u64, unique: u64) -> f64 {
+    if viewers < 2 || requested == 0 {
+        return 0.0;
+    }
+    let requested = requested as f64;
+    let most = requested - requested / viewers as f64;
+    ((requested - unique as f64) / most).clamp(0.0, 1.0)
+}
+
+pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats {
+    let counters = &renderer.counters;
+    RenderStats {
+        adapter: renderer.gpu.adapter_stats(),
+        tick: counters.ticks,
+        scene_revision: renderer.scene_revision,
+        uptime_s,
+        totals: RenderTotals {
+            ticks: counters.ticks,
+            submissions: counters.submissions,
+            dispatches: counters.dispatches,
+            texels_updated: counters.tiles_updated * TEXELS_PER_TILE,
+            tiles_updated: counters.tiles_updated,
+            tiles_evicted: renderer.caches.evicted(),
+            frames_composited: counters.frames_composited,
+            frames_read_back: renderer.frames_read_back(),
+            gpu_cache_ns: renderer.gpu_time(TimedPass::Cache).0,
+            gpu_composite_ns: renderer.gpu_time(TimedPass::Composite).0,
+            gpu_screen_space_ns: renderer.gpu_time(TimedPass::ScreenSpace).0,
+            screen_space_marches: counters.screen_space_marches,
+            cache_bytes: renderer.cache_bytes(),
+        },
+        cells: renderer
+            .cells
+            .iter()
+            .map(|(id, _)| cell_stats(renderer, id))
+            .collect(),
+        viewers: renderer
+            .viewers
+            .iter()
+            .map(|(id, viewer)| ViewerRenderStats {
+                id: *id,
+                cell: viewer.cell,
+                texels_requested: viewer.texels_requested(),
+                frames_composited: viewer.frames_composited,
+                frames_in_flight: viewer.frames_in_flight(),
+                renderer: viewer.view.renderer,
+            })
+            .collect(),
+    }
+}
+
+fn cell_stats(renderer: &SkyRenderer, id: CellId) -> CellStats {
+    let Some(cell) = renderer.cells.get(id) else {
+        return CellStats::default();
+    };
+    let samples = renderer.caches.samples();
+    let mut stats = CellStats {
+        id,
+        name: cell.name.clone(),
+        reference_m: cell.reference_m.to_array(),
+        viewers: cell.members.clone(),
+        ..CellStats::default()
+    };
+    if let Some((drift, _)) = renderer.cell_drift(id) {
+        stats.anchor_drift_m = drift.to_array();
+    }
+    for (_, sphere) in renderer.caches.spheres_of(id) {
+        let (requested, unique) = sphere.requested_and_unique();
+        stats.texels_requested += requested * TEXELS_PER_TILE;
+        stats.texels_unique += unique * TEXELS_PER_TILE;
+        stats.texels_coarse += sphere.coarse_only() * TEXELS_PER_TILE;
+        stats.texels_pending += sphere.pending_samples(samples) * TEXELS_PER_TILE;
+        stats.tiles_resident += sphere.resident() as u64;
+    }
+    stats.bytes = stats.tiles_resident * TEXELS_PER_TILE * BYTES_PER_TEXEL;
+    stats.overlap = overlap(
+        cell.members.len(),
+        stats.texels_requested,
+        stats.texels_unique,
+    );
+    stats.converged = stats.texels_pending == 0;
+    stats
+}
+
+#[cfg(test)]
+mod tests {
+    use super::overlap;
+
+    #[test]
+    fn overlap_is_none_for_distinct_views_and_whole_for_equal_ones() {
+        assert!(overlap(16, 1600, 1600).abs() < 1e-12);
+        assert!((overlap(16, 1600, 100) - 1.0).abs() < 1e-12);
+        assert!(overlap(1, 100, 100).abs() < 1e-12);
+        // A ring of 16 viewers who share 40 % with each neighbour on one side needs 1 + 15 · 0.6 views.
+        let unique = 1000 + 15 * 600;
+        assert!((overlap(16, 16_000, unique) - 0.4).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,221 @@
+//! Finding an adapter and opening it.
+
+use crate::frame_loop::interface::AdapterStats;
+
+/// Why there is no device.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum GpuError {
+    /// No adapter at all.
+    #[error(
+        "no graphics adapter was found ({0}). On Debian or Ubuntu `apt-get install libvulkan1 mesa-vulkan-drivers` brings \
+         a software one; `skycell-server doctor` tells more"
+    )]
+    NoAdapter(String),
+    /// The adapter lacks what rendering needs.
+    #[error("the adapter {adapter} cannot render: {missing}")]
+    Missing {
+        /// Name of the adapter.
+        adapter: String,
+        /// What it lacks.
+        missing: String,
+    },
+    /// The adapter did not give a device.
+    #[error("the adapter {adapter} gave no device: {reason}")]
+    NoDevice {
+        /// Name of the adapter.
+        adapter: String,
+        /// What it said.
+        reason: String,
+    },
+    /// A shader does not compose.
+    #[error(transparent)]
+    Shader(#[from] skycell_shaders::ShaderError),
+    /// The device stopped working.
+    #[error("the device was lost or ran into an error: {0}")]
+    Device(String),
+    /// The render thread could not be started.
+    #[error("the render thread did not start: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+/// An open device.
+#[derive(Clone, Debug)]
+pub struct Gpu {
+    /// The device.
+    pub device: wgpu::Device,
+    /// Its only queue.
+    pub queue: wgpu::Queue,
+    /// Who renders.
+    pub info: wgpu::AdapterInfo,
+    /// Whether passes can be timed on the device.
+    pub timestamps: bool,
+}
+
+/// What `doctor` tells about one adapter.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct AdapterReport {
+    /// Name.
+    pub name: String,
+    /// Driver and its version.
+    pub driver: String,
+    /// Vulkan, Metal or DX12.
+    pub backend: String,
+    /// Discrete, integrated, virtual or CPU.
+    pub device_type: String,
+    /// Passes can be timed.
+    pub timestamps: bool,
+    /// Longest edge of a texture, texels.
+    pub texture_edge_max: u32,
+    /// Most layers of a texture array (a page of the cache each).
+    pub texture_layers_max: u32,
+    /// Largest storage buffer, bytes.
+    pub storage_buffer_max_bytes: u64,
+    /// What rendering needs and the adapter lacks; empty when it can render.
+    pub missing: Vec<String>,
+}
+
+fn instance() -> wgpu::Instance {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
+    // Validation layers are a developer's tool; where they are installed they cost more than the rendering.
+    descriptor.flags = wgpu::InstanceFlags::empty();
+    wgpu::Instance::new(descriptor)
+}
+
+/// What rendering needs beyond wgpu's default limits: nothing but six storage bindings and array textures.
+fn missing(limits: &wgpu::Limits) -> Vec<String> {
+    let needed = [
+        ("texture edge", limits.max_texture_dimension_2d, 1024),
+        ("volume edge", limits.max_texture_dimension_3d, 128),
+        ("texture layers", limits.max_texture_array_layers, 16),
+        ("bind groups", limits.max_bind_groups, 4),
+        (
+            "storage textures in a stage",
+            limits.max_storage_textures_per_shader_stage,
+            2,
+        ),
+        (
+            "storage buffers in a stage",
+            limits.max_storage_buffers_per_shader_stage,
+            4,
+        ),
+        (
+            "invocations of a workgroup",
+            limits.max_compute_invocations_per_workgroup,
+            64,
+        ),
+    ];
+    needed
+        .iter()
+        .filter(|(_, has, needs)| has < needs)
+        .map(|(what, has, needs)| format!("{what}: {has}, needed {needs}"))
+        .collect()
+}
+
+impl AdapterReport {
+    fn new(adapter: &wgpu::Adapter) -> Self {
+        let info = adapter.get_info();
+        let limits = adapter.limits();
+        Self {
+            name: info.name,
+            driver: format!("{} {}", info.driver, info.driver_info),
+            backend: info.backend.to_string(),
+            device_type: format!("{:?}", info.device_type),
+            timestamps: adapter.features().contains(wgpu::Features::TIMESTAMP_QUERY),
+            texture_edge_max: limits.max_texture_dimension_2d,
+            texture_layers_max: limits.max_texture_array_layers,
+            storage_buffer_max_bytes: limits.max_storage_buffer_binding_size,
+            missing: missing(&limits),
+        }
+    }
+
+    /// Every adapter of this machine.
+    pub async fn all() -> Vec<Self> {
+        let adapters = instance().enumerate_adapters(wgpu::Backends::all()).await;
+        adapters.iter().map(Self::new).collect()
+    }
+}
+
+impl Gpu {
+    /// Opens the best adapter: a real GPU before a software one.
+    ///
+    /// # Errors
+    /// When there is none, or none that can render.
+    pub async fn open() -> Result<Self, GpuError> {
+        let adapter = instance()
+            .request_adapter(&wgpu::RequestAdapterOptions {
+                power_preference: wgpu::PowerPreference::HighPerformance,
+                ..Default::default()
+            })
+            .await
+            .map_err(|error| GpuError::NoAdapter(error.to_string()))?;
+        let info = adapter.get_info();
+        let missing = missing(&adapter.limits());
+        if !missing.is_empty() {
+            return Err(GpuError::Missing {
+                adapter: info.name,
+                missing: missing.join("; "),
+            });
+        }
+        let timestamps = adapter.features().contains(wgpu::Features::TIMESTAMP_QUERY);
+        let mut required_features = wgpu::Features::empty();
+        required_features.set(wgpu::Features::TIMESTAMP_QUERY, timestamps);
+        let (device, queue) = adapter
+            .request_device(&wgpu::DeviceDescriptor {
+                label: Some("skycell"),
+                required_features,
+                required_limits: adapter.limits(),
+                ..Default::default()
+            })
+            .await
+            .map_err(|error| GpuError::NoDevice {
+                adapter: info.name.clone(),
+                reason: error.to_string(),
+            })?;
+        Ok(Self {
+            device,
+            queue,
+            info,
+            timestamps,
+        })
+    }
+
+    /// As [`Self::open`], for threads without a runtime.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_blocking() -> Result<Self, GpuError> {
+        // wgpu's native futures are ready at once: there is nothing to wait for.
+        futures_util::FutureExt::now_or_never(Self::open())
+            .unwrap_or_else(|| Err(GpuError::NoAdapter("the adapter did not answer".into())))
+    }
+
+    /// Whether a software driver renders.
+    #[must_use]
+    pub fn is_software(&self) -> bool {
+        self.info.device_type == wgpu::DeviceType::Cpu
+    }
+
+    /// The adapter as figures carry it.
+    #[must_use]
+    pub fn adapter_stats(&self) -> AdapterStats {
+        AdapterStats {
+            name: self.info.name.clone(),
+            driver: format!("{} {}", self.info.driver, self.info.driver_info),
+            backend: self.info.backend.to_string(),
+            device_type: format!("{:?}", self.info.device_type),
+        }
+    }
+
+    /// Waits until everything that was submitted is done.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn wait(&self) -> Result<(), GpuError> {
+        self.device
+            .poll(wgpu::PollType::wait_indefinitely())
+            .map(|_| ())
+            .map_err(|error| GpuError::Device(error.to_string()))
+    }
+}

@@ -1,0 +1,14 @@
+//! The device and what touches it: adapter, pipelines, textures of the field, readback, timing. Only modules in here and
+//! the render thread record commands.
+
+mod device;
+mod field_textures;
+mod pipelines;
+mod readback;
+mod timing;
+
+pub use device::{AdapterReport, Gpu, GpuError};
+pub use field_textures::FieldTextures;
+pub use pipelines::{PipelineKey, Pipelines};
+pub use readback::{MappedPixels, ReadbackRing, read_buffer_blocking};
+pub use timing::{TimedPass, TimingRing};

@@ -1,0 +1,220 @@
+//! Compute pipelines, made once per specialisation and never in a frame.
+
+use super::{Gpu, GpuError};
+use skycell_shaders::{Features, Kernel, compose};
+use std::borrow::Cow;
+use std::collections::HashMap;
+
+/// Which pipeline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct PipelineKey {
+    /// The program.
+    pub kernel: Kernel,
+    /// What it is specialised to.
+    pub features: Features,
+}
+
+/// Layouts of the bind groups, shared by all specialisations of a kernel.
+#[derive(Debug)]
+pub struct Pipelines {
+    /// Group 0 of all kernels: the scene.
+    pub scene_layout: wgpu::BindGroupLayout,
+    /// Group 1 of the marching kernels: the cloud field.
+    pub field_layout: wgpu::BindGroupLayout,
+    /// Group 2 of the cache's march: work, reference, old and new texels.
+    pub texels_layout: wgpu::BindGroupLayout,
+    /// Group 2 of the composite: page tables and atlas.
+    pub cached_layout: wgpu::BindGroupLayout,
+    /// Group 2 of the screen-space march: marched pixels, to write.
+    pub pixels_layout: wgpu::BindGroupLayout,
+    /// Group 2 of the screen-space composite: marched pixels, to read.
+    pub marched_layout: wgpu::BindGroupLayout,
+    /// Group 3 of the composite: view and picture.
+    pub picture_layout: wgpu::BindGroupLayout,
+    /// Group 3 of the screen-space march: view.
+    pub view_layout: wgpu::BindGroupLayout,
+    empty_layout: wgpu::BindGroupLayout,
+    /// Stands where a kernel has no group.
+    pub empty_group: wgpu::BindGroup,
+    made: HashMap<PipelineKey, wgpu::ComputePipeline>,
+}
+
+fn uniform() -> wgpu::BindingType {
+    wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    }
+}
+
+fn storage(read_only: bool) -> wgpu::BindingType {
+    wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Storage { read_only },
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    }
+}
+
+fn sampled(dimension: wgpu::TextureViewDimension, filterable: bool) -> wgpu::BindingType {
+    wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Float { filterable },
+        view_dimension: dimension,
+        multisampled: false,
+    }
+}
+
+fn stored(format: wgpu::TextureFormat) -> wgpu::BindingType {
+    wgpu::BindingType::StorageTexture {
+        access: wgpu::StorageTextureAccess::WriteOnly,
+        format,
+        view_dimension: wgpu::TextureViewDimension::D2Array,
+    }
+}
+
+const SAMPLER: wgpu::BindingType =
+    wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
+
+fn layout(gpu: &Gpu, label: &str, types: &[wgpu::BindingType]) -> wgpu::BindGroupLayout {
+    let entries: Vec<_> = (0..)
+        .zip(types)
+        .map(|(binding, ty)| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: *ty,
+            count: None,
+        })
+        .collect();
+    gpu.device
+        .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some(label),
+            entries: &entries,
+        })
+}
+
+impl Pipelines {
+    /// The layouts; pipelines follow with [`Self::prepare`].
+    #[must_use]
+    pub fn new(gpu: &Gpu) -> Self {
+        use wgpu::TextureViewDimension::{D2, D2Array, D3};
+        let empty_layout = layout(gpu, "empty", &[]);
+        let empty_group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("empty"),
+            layout: &empty_layout,
+            entries: &[],
+        });
+        Self {
+            scene_layout: layout(gpu, "scene", &[uniform()]),
+            field_layout: layout(
+                gpu,
+                "field",
+                &[
+                    sampled(D2Array, true),
+                    sampled(D2, true),
+                    sampled(D3, true),
+                    sampled(D3, true),
+                    SAMPLER,
+                    SAMPLER,
+                ],
+            ),
+            texels_layout: layout(
+                gpu,
+                "texels",
+                &[
+                    storage(true),
+                    uniform(),
+                    sampled(D2, true),
+                    sampled(D2, false),
+                    stored(wgpu::TextureFormat::Rgba16Float),
+                    stored(wgpu::TextureFormat::R32Float),
+                ],
+            ),
+            cached_layout: layout(
+                gpu,
+                "cached",
+                &[
+                    storage(true),
+                    sampled(D2Array, true),
+                    sampled(D2Array, false),
+                    SAMPLER,
+                ],
+            ),
+            pixels_layout: layout(gpu, "pixels", &[storage(false)]),
+            marched_layout: layout(gpu, "marched", &[storage(true)]),
+            picture_layout: layout(gpu, "picture", &[uniform(), storage(false)]),
+            view_layout: layout(gpu, "view", &[uniform()]),
+            empty_layout,
+            empty_group,
+            made: HashMap::new(),
+        }
+    }
+
+    fn groups(&self, key: PipelineKey) -> [&wgpu::BindGroupLayout; 4] {
+        match key.kernel {
+            Kernel::MarchTexels => [
+                &self.scene_layout,
+                &self.field_layout,
+                &self.texels_layout,
+                &self.empty_layout,
+            ],
+            Kernel::MarchPixels => [
+                &self.scene_layout,
+                &self.field_layout,
+                &self.pixels_layout,
+                &self.view_layout,
+            ],
+            Kernel::Composite | Kernel::Probe => [
+                &self.scene_layout,
+                &self.empty_layout,
+                if key.features.screen_space {
+                    &self.marched_layout
+                } else {
+                    &self.cached_layout
+                },
+                &self.picture_layout,
+            ],
+        }
+    }
+
+    /// Makes a pipeline when it is not there yet.
+    ///
+    /// # Errors
+    /// When its WGSL does not compose.
+    pub fn prepare(&mut self, gpu: &Gpu, key: PipelineKey) -> Result<(), GpuError> {
+        if self.made.contains_key(&key) {
+            return Ok(());
+        }
+        let module = compose(key.kernel, key.features)?;
+        let shader = gpu
+            .device
+            .create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some(key.kernel.entry_point()),
+                source: wgpu::ShaderSource::Naga(Cow::Owned(module)),
+            });
+        let groups = self.groups(key).map(Some);
+        let pipeline_layout = gpu
+            .device
+            .create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                label: Some(key.kernel.entry_point()),
+                bind_group_layouts: &groups,
+                immediate_size: 0,
+            });
+        let pipeline = gpu
+            .device
+            .create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(key.kernel.entry_point()),
+                layout: Some(&pipeline_layout),
+                module: &shader,
+                entry_point: Some(key.kernel.entry_point()),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                cache: None,
+            });
+        self.made.insert(key, pipeline);
+        Ok(())
+    }
+
+    /// A pipeline that [`Self::prepare`] has made.
+    #[must_use]
+    pub fn get(&self, key: PipelineKey) -> Option<&wgpu::ComputePipeline> {
+        self.made.get(&key)
+    }
+}

@@ -1,0 +1,181 @@
+//! GPU time of passes by timestamps, read back without waiting.
+
+use super::Gpu;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+/// What a timed pass did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TimedPass {
+    /// Updated cache texels.
+    Cache,
+    /// Composited a picture.
+    Composite,
+    /// Marched pixels of the screen-space renderer.
+    ScreenSpace,
+}
+
+/// Passes that one submission can time.
+const PASSES_MAX: u32 = 64;
+/// Submissions that can be under way; a further one goes untimed.
+const SLOTS: usize = 8;
+
+#[derive(Debug)]
+struct Slot {
+    queries: wgpu::QuerySet,
+    resolved: wgpu::Buffer,
+    readable: wgpu::Buffer,
+    busy: Arc<AtomicBool>,
+    passes: Vec<(TimedPass, u64)>,
+}
+
+/// Sums of GPU time, filled as submissions finish.
+#[derive(Debug, Default)]
+struct Sums {
+    cache: Sum,
+    composite: Sum,
+    screen_space: Sum,
+}
+
+#[derive(Debug, Default)]
+struct Sum {
+    ns: AtomicU64,
+    units: AtomicU64,
+}
+
+/// Timestamps for a handful of submissions under way. Without device timestamps it times nothing.
+#[derive(Debug)]
+pub struct TimingRing {
+    slots: Vec<Slot>,
+    current: Option<usize>,
+    sums: Arc<Sums>,
+    period_ns: f64,
+}
+
+impl TimingRing {
+    /// A ring; empty when the device has no timestamps.
+    #[must_use]
+    pub fn new(gpu: &Gpu) -> Self {
+        let bytes = u64::from(2 * PASSES_MAX) * 8;
+        let buffer = |usage| {
+            gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("timestamps"),
+                size: bytes,
+                usage,
+                mapped_at_creation: false,
+            })
+        };
+        let slots = if gpu.timestamps { SLOTS } else { 0 };
+        Self {
+            slots: (0..slots)
+                .map(|_| Slot {
+                    queries: gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
+                        label: Some("timestamps"),
+                        ty: wgpu::QueryType::Timestamp,
+                        count: 2 * PASSES_MAX,
+                    }),
+                    resolved: buffer(
+                        wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+                    ),
+                    readable: buffer(wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ),
+                    busy: Arc::default(),
+                    passes: Vec::new(),
+                })
+                .collect(),
+            current: None,
+            sums: Arc::default(),
+            period_ns: f64::from(gpu.queue.get_timestamp_period()),
+        }
+    }
+
+    /// Starts a submission.
+    pub fn begin(&mut self) {
+        self.current = self
+            .slots
+            .iter()
+            .position(|slot| !slot.busy.load(Ordering::Acquire));
+        if let Some(index) = self.current {
+            self.slots[index].passes.clear();
+        }
+    }
+
+    /// Timestamps for the next pass of the submission, when there is room; `units` of work (tiles, pixels) are counted
+    /// with its time.
+    pub fn pass(&mut self, what: TimedPass, units: u64) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
+        let slot = &mut self.slots[self.current?];
+        let index = slot.passes.len() as u32;
+        if index == PASSES_MAX {
+            return None;
+        }
+        slot.passes.push((what, units));
+        Some(wgpu::ComputePassTimestampWrites {
+            query_set: &slot.queries,
+            beginning_of_pass_write_index: Some(2 * index),
+            end_of_pass_write_index: Some(2 * index + 1),
+        })
+    }
+
+    /// Ends the recording: call before the encoder is finished.
+    pub fn resolve(&mut self, encoder: &mut wgpu::CommandEncoder) {
+        let Some(slot) = self.current.map(|index| &self.slots[index]) else {
+            return;
+        };
+        let count = 2 * slot.passes.len() as u32;
+        if count == 0 {
+            self.current = None;
+            return;
+        }
+        encoder.resolve_query_set(&slot.queries, 0..count, &slot.resolved, 0);
+        encoder.copy_buffer_to_buffer(&slot.resolved, 0, &slot.readable, 0, u64::from(count) * 8);
+    }
+
+    /// Asks for the figures: call after the submission.
+    pub fn submitted(&mut self) {
+        let Some(index) = self.current.take() else {
+            return;
+        };
+        let slot = &self.slots[index];
+        slot.busy.store(true, Ordering::Release);
+        let (busy, sums, period_ns) = (slot.busy.clone(), self.sums.clone(), self.period_ns);
+        let (buffer, passes) = (slot.readable.clone(), slot.passes.clone());
+        slot.readable
+            .map_async(wgpu::MapMode::Read, .., move |result| {
+                if result.is_ok() {
+                    if let Ok(view) = buffer.get_mapped_range(..) {
+                        let ticks: Vec<u64> = view
+                            .chunks_exact(8)
+                            .map(|b| u64::from_le_bytes(std::array::from_fn(|i| b[i])))
+                            .collect();
+                        for ((pass, units), pair) in passes.iter().zip(ticks.chunks_exact(2)) {
+                            let ns = pair[1].saturating_sub(pair[0]) as f64 * period_ns;
+                            let sum = sums.of(*pass);
+                            sum.ns.fetch_add(ns as u64, Ordering::Relaxed);
+                            sum.units.fetch_add(*units, Ordering::Relaxed);
+                        }
+                    }
+                    buffer.unmap();
+                }
+                busy.store(false, Ordering::Release);
+            });
+    }
+
+    /// GPU time of a kind of pass since the start, ns, and the units of work that were done in it.
+    #[must_use]
+    pub fn total(&self, pass: TimedPass) -> (u64, u64) {
+        let sum = self.sums.of(pass);
+        (
+            sum.ns.load(Ordering::Relaxed),
+            sum.units.load(Ordering::Relaxed),
+        )
+    }
+}
+
+impl Sums {
+    fn of(&self, pass: TimedPass) -> &Sum {
+        match pass {
+            TimedPass::Cache => &self.cache,
+            TimedPass::Composite => &self.composite,
+            TimedPass::ScreenSpace => &self.screen_space,
+        }
+    }
+}

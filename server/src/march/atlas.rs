@@ -1,0 +1,163 @@
+//! The textures that hold every tile of every cell.
+
+use crate::cache::{BYTES_PER_TEXEL, Slot, TEXELS_PER_TILE, TILE_STRIDE};
+use crate::gpu::Gpu;
+
+/// Tiles along a page.
+const PAGE_TILES: u32 = 16;
+/// Tiles of a page, one layer of the texture array: 12 MiB.
+pub const TILES_PER_PAGE: u32 = PAGE_TILES * PAGE_TILES;
+/// Texels along a page.
+const PAGE_TEXELS: u32 = PAGE_TILES * TILE_STRIDE;
+
+/// Radiance and transmittance in half floats, which bilinear hardware reads, and distance in a float beside it.
+///
+/// A texel holds scalars: single scattering without its phase, the higher octaves, ambient light, transmittance, mean
+/// distance. Cloud droplets are grey, so colour is a factor outside; the sun's colour and the viewer's own phase are
+/// multiplied in by the compositor, and changing either marches nothing.
+#[derive(Debug)]
+pub struct Atlas {
+    radiance: wgpu::Texture,
+    distance: wgpu::Texture,
+    previous_radiance: wgpu::Texture,
+    previous_distance: wgpu::Texture,
+    pages: u32,
+    version: u64,
+}
+
+fn texture(gpu: &Gpu, label: &str, pages: u32, format: wgpu::TextureFormat) -> wgpu::Texture {
+    gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: Some(label),
+        size: wgpu::Extent3d {
+            width: PAGE_TEXELS,
+            height: PAGE_TEXELS,
+            depth_or_array_layers: pages,
+        },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING
+            | wgpu::TextureUsages::STORAGE_BINDING
+            | wgpu::TextureUsages::COPY_SRC
+            | wgpu::TextureUsages::COPY_DST,
+        view_formats: &[],
+    })
+}
+
+const RADIANCE: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
+const DISTANCE: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
+
+impl Atlas {
+    /// An atlas of one page.
+    #[must_use]
+    pub fn new(gpu: &Gpu) -> Self {
+        Self {
+            radiance: texture(gpu, "atlas radiance", 1, RADIANCE),
+            distance: texture(gpu, "atlas distance", 1, DISTANCE),
+            previous_radiance: texture(gpu, "previous radiance", 1, RADIANCE),
+            previous_distance: texture(gpu, "previous distance", 1, DISTANCE),
+            pages: 1,
+            version: 0,
+        }
+    }
+
+    /// Most tiles that a device can hold.
+    #[must_use]
+    pub fn tiles_max(gpu: &Gpu) -> u32 {
+        // Entries of page tables have 16 bits for a slot.
+        (gpu.device.limits().max_texture_array_layers * TILES_PER_PAGE).min(0xffff)
+    }
+
+    /// Makes room for slots below `slots`, or gives pages back when there are none. Contents stay.
+    pub fn fit(&mut self, gpu: &Gpu, slots: u32) {
+        let wanted = slots.div_ceil(TILES_PER_PAGE).max(1);
+        if wanted == self.pages || (wanted < self.pages && slots > 0) {
+            return;
+        }
+        let radiance = texture(gpu, "atlas radiance", wanted, RADIANCE);
+        let distance = texture(gpu, "atlas distance", wanted, DISTANCE);
+        let mut encoder = gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
+                label: Some("grow atlas"),
+            });
+        let extent = wgpu::Extent3d {
+            width: PAGE_TEXELS,
+            height: PAGE_TEXELS,
+            depth_or_array_layers: self.pages.min(wanted),
+        };
+        for (old, new) in [(&self.radiance, &radiance), (&self.distance, &distance)] {
+            encoder.copy_texture_to_texture(
+                old.as_image_copy(),
+                new.as_image_copy(),
+                extent,
+            );
+        }
+        gpu.queue.submit([encoder.finish()]);
+        self.radiance = radiance;
+        self.distance = distance;
+        self.pages = wanted;
+        self.version += 1;
+    }
+
+    /// Changes whenever views of the atlas are out of date.
+    #[must_use]
+    pub fn version(&self) -> u64 {
+        self.version
+    }
+
+    /// Bytes on the device, the working page included.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        u64::from((self.pages + 1) * TILES_PER_PAGE) * TEXELS_PER_TILE * BYTES_PER_TEXEL
+    }
+
+    /// Radiance and distance of all pages.
+    #[must_use]
+    pub fn views(&self) -> [wgpu::TextureView; 2] {
+        [&self.radiance, &self.distance].map(|texture| {
+            texture.create_view(&wgpu::TextureViewDescriptor {
+                dimension: Some(wgpu::TextureViewDimension::D2Array),
+                ..Default::default()
+            })
+        })
+    }
+
+    /// Radiance and distance as they were before an update, at the update's place in its batch.
+    #[must_use]
+    pub fn previous_views(&self) -> [wgpu::TextureView; 2] {
+        [&self.previous_radiance, &self.previous_distance]
+            .map(|texture| texture.create_view(&wgpu::TextureViewDescriptor::default()))
+    }
+
+    /// Copies a tile to where the update with this place in its batch reads what was there before.
+    pub fn keep_previous(&self, encoder: &mut wgpu::CommandEncoder, slot: Slot, place: u32) {
+        let origin = |index: u32, page: u32| wgpu::Origin3d {
+            x: index % PAGE_TILES * TILE_STRIDE,
+            y: index / PAGE_TILES * TILE_STRIDE,
+            z: page,
+        };
+        let extent = wgpu::Extent3d {
+            width: TILE_STRIDE,
+            height: TILE_STRIDE,
+            depth_or_array_layers: 1,
+        };
+        for (from, to) in [
+            (&self.radiance, &self.previous_radiance),
+            (&self.distance, &self.previous_distance),
+        ] {
+            let at = |texture, origin| wgpu::TexelCopyTextureInfo {
+                texture,
+                mip_level: 0,
+                origin,
+                aspect: wgpu::TextureAspect::All,
+            };
+            encoder.copy_texture_to_texture(
+                at(from, origin(slot.0 % TILES_PER_PAGE, slot.0 / TILES_PER_PAGE)),
+                at(to, origin(place, 0)),
+                extent,
+            );
+        }
+    }
+}

@@ -1,0 +1,172 @@
+//! A cell on the device: its scene, where its rays start, where its tiles are found.
+
+use super::atlas::Atlas;
+use super::texels::write;
+use crate::cache::{LEVELS, NO_TILE, PageTables, TileKey};
+use crate::gpu::{Gpu, Pipelines};
+use glam::DVec3;
+use skycell_shaders::layout;
+
+/// Layers that a scene may have.
+const LAYERS_MAX: usize = 4;
+
+/// Buffers and bind groups of one cell.
+#[derive(Debug)]
+pub struct CellBuffers {
+    scene: wgpu::Buffer,
+    pub(super) reference: wgpu::Buffer,
+    /// Group 0 of every kernel.
+    pub scene_group: wgpu::BindGroup,
+    field_group: wgpu::BindGroup,
+    tables: wgpu::Buffer,
+    offsets: [Vec<u32>; LAYERS_MAX],
+    cached_group: Option<(u64, wgpu::BindGroup)>,
+    sampler: wgpu::Sampler,
+    last_scene: Option<layout::Scene>,
+}
+
+fn buffer(gpu: &Gpu, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(label),
+        size: bytes,
+        usage: usage | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}
+
+impl CellBuffers {
+    /// Makes the buffers; scene and reference must be written before use.
+    #[must_use]
+    pub fn new(gpu: &Gpu, pipelines: &Pipelines, field_group: &wgpu::BindGroup) -> Self {
+        let scene = buffer(
+            gpu,
+            "scene",
+            size_of::<layout::Scene>() as u64,
+            wgpu::BufferUsages::UNIFORM,
+        );
+        let reference = buffer(
+            gpu,
+            "reference",
+            size_of::<layout::Reference>() as u64,
+            wgpu::BufferUsages::UNIFORM,
+        );
+        let scene_group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("scene"),
+            layout: &pipelines.scene_layout,
+            entries: &[wgpu::BindGroupEntry {
+                binding: 0,
+                resource: scene.as_entire_binding(),
+            }],
+        });
+        let mut cell = Self {
+            scene,
+            reference,
+            scene_group,
+            field_group: field_group.clone(),
+            tables: buffer(gpu, "page tables", 4, wgpu::BufferUsages::STORAGE),
+            offsets: Default::default(),
+            cached_group: None,
+            sampler: gpu.device.create_sampler(&wgpu::SamplerDescriptor {
+                label: Some("atlas"),
+                mag_filter: wgpu::FilterMode::Linear,
+                min_filter: wgpu::FilterMode::Linear,
+                ..Default::default()
+            }),
+            last_scene: None,
+        };
+        cell.set_tables(gpu, &[]);
+        cell
+    }
+
+    /// Group 1 of the marching kernels.
+    #[must_use]
+    pub fn field_group(&self) -> &wgpu::BindGroup {
+        &self.field_group
+    }
+
+    /// Writes the scene, when it differs from what is there.
+    pub fn set_scene(&mut self, gpu: &Gpu, scene: &layout::Scene) {
+        if self.last_scene.as_ref() != Some(scene) {
+            write(gpu, &self.scene, scene);
+            self.last_scene = Some(*scene);
+        }
+    }
+
+    /// Writes where rays start, in the cell's frame.
+    pub fn set_reference(&self, gpu: &Gpu, position: DVec3) {
+        let value = layout::Reference {
+            position: position.as_vec3().to_array(),
+            ..Default::default()
+        };
+        write(gpu, &self.reference, &value);
+    }
+
+    /// Writes the page tables of the active layers.
+    pub fn set_tables(&mut self, gpu: &Gpu, layers: &[PageTables]) {
+        let mut entries = Vec::new();
+        self.offsets = Default::default();
+        for (layer, tables) in layers.iter().enumerate().take(LAYERS_MAX) {
+            let start = entries.len() as u32;
+            self.offsets[layer] = tables.level_offsets.iter().map(|o| o + start).collect();
+            entries.extend_from_slice(&tables.entries);
+        }
+        if entries.is_empty() {
+            entries.push(NO_TILE);
+        }
+        let bytes = (entries.len() * 4) as u64;
+        if bytes > self.tables.size() {
+            // Twice what is needed now: tables grow a level at a time.
+            self.tables = buffer(gpu, "page tables", 2 * bytes, wgpu::BufferUsages::STORAGE);
+            self.cached_group = None;
+        }
+        gpu.queue
+            .write_buffer(&self.tables, 0, bytemuck::cast_slice(&entries));
+    }
+
+    /// Where a layer's table for a level is; beyond the levels that have tiles the finest one that has.
+    #[must_use]
+    pub fn table(&self, layer: usize, level: u8) -> layout::PageTable {
+        let offsets = self.offsets.get(layer).map_or(&[][..], Vec::as_slice);
+        let level = level
+            .min(LEVELS - 1)
+            .min(offsets.len().saturating_sub(1) as u8);
+        match offsets.get(usize::from(level)) {
+            Some(offset) => layout::PageTable {
+                offset: *offset,
+                tiles_per_side: TileKey::tiles_per_side(level),
+                ..Default::default()
+            },
+            // A table of no tiles: clear sky.
+            None => layout::PageTable::default(),
+        }
+    }
+
+    /// Group 2 of the cached composite.
+    pub fn cached_group(&mut self, gpu: &Gpu, pipelines: &Pipelines, atlas: &Atlas) -> &wgpu::BindGroup {
+        let version = atlas.version();
+        if self.cached_group.as_ref().is_some_and(|(held, _)| *held != version) {
+            self.cached_group = None;
+        }
+        let (tables, sampler) = (&self.tables, &self.sampler);
+        let (_, group) = self.cached_group.get_or_insert_with(|| {
+            let [radiance, distance] = atlas.views();
+            let resources = [
+                tables.as_entire_binding(),
+                wgpu::BindingResource::TextureView(&radiance),
+                wgpu::BindingResource::TextureView(&distance),
+                wgpu::BindingResource::Sampler(sampler),
+            ];
+            let entries: Vec<_> = (0..)
+                .zip(resources)
+                .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
+                .collect();
+            let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("cached"),
+                layout: &pipelines.cached_layout,
+                entries: &entries,
+            });
+            (version, group)
+        });
+        group
+    }
+}

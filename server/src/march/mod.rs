@@ -1,0 +1,20 @@
+//! From the scene document to marched light: what the marching kernels read, the atlas that they fill, their passes.
+
+mod atlas;
+mod cell_buffers;
+mod frame;
+mod pixels;
+mod sky;
+mod texels;
+mod uniforms;
+
+pub use atlas::{Atlas, TILES_PER_PAGE};
+pub use cell_buffers::CellBuffers;
+pub use frame::CellFrame;
+pub use pixels::{MarchedPixels, pixels_key};
+pub use sky::{SkyLight, sky_light};
+pub use texels::{BATCH_TILES_MAX, TexelGroup, TexelMarch, texels_key};
+pub use uniforms::{
+    ActiveLayer, MarchSettings, active_layers, hg_draine_parameters, layer_features, scene_uniform,
+    wind_drifts,
+};

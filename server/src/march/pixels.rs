@@ -1,0 +1,138 @@
+//! The screen-space renderer's pass: one ray per pixel and layer, in strips, so that a slow device can do other work
+//! between them.
+
+use super::cell_buffers::CellBuffers;
+use crate::gpu::{Gpu, PipelineKey, Pipelines, TimedPass, TimingRing};
+use skycell_protocol::FrameSize;
+use skycell_shaders::{Features, Kernel, layout};
+
+/// Values that a pixel keeps per layer.
+const VALUES: u64 = 5;
+
+/// What the pass is specialised to for a layer.
+#[must_use]
+pub fn pixels_key(layer: Features) -> PipelineKey {
+    PipelineKey {
+        kernel: Kernel::MarchPixels,
+        features: Features {
+            catmull_rom: false,
+            linear_output: false,
+            screen_space: true,
+            ..layer
+        },
+    }
+}
+
+/// One viewer's marched pixels.
+#[derive(Debug)]
+pub struct MarchedPixels {
+    view: wgpu::Buffer,
+    view_group: wgpu::BindGroup,
+    write_group: wgpu::BindGroup,
+    read_group: wgpu::BindGroup,
+    size: FrameSize,
+    bytes: u64,
+}
+
+impl MarchedPixels {
+    /// Makes the buffers for a picture of `size` and a number of layers.
+    #[must_use]
+    pub fn new(gpu: &Gpu, pipelines: &Pipelines, size: FrameSize, layers: usize) -> Self {
+        let bytes = u64::from(size.pixels()) * layers.max(1) as u64 * VALUES * 4;
+        let buffer = |label, bytes, usage| {
+            gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: bytes,
+                usage,
+                mapped_at_creation: false,
+            })
+        };
+        let values = buffer("marched pixels", bytes, wgpu::BufferUsages::STORAGE);
+        let view = buffer(
+            "marched view",
+            size_of::<layout::View>() as u64,
+            wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+        );
+        let group = |layout, buffer: &wgpu::Buffer| {
+            gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("marched pixels"),
+                layout,
+                entries: &[wgpu::BindGroupEntry {
+                    binding: 0,
+                    resource: buffer.as_entire_binding(),
+                }],
+            })
+        };
+        Self {
+            view_group: group(&pipelines.view_layout, &view),
+            write_group: group(&pipelines.pixels_layout, &values),
+            read_group: group(&pipelines.marched_layout, &values),
+            view,
+            size,
+            bytes,
+        }
+    }
+
+    /// Whether a device can hold the marched pixels of such a picture.
+    #[must_use]
+    pub fn fits(gpu: &Gpu, size: FrameSize, layers: usize) -> bool {
+        let bytes = u64::from(size.pixels()) * layers.max(1) as u64 * VALUES * 4;
+        bytes <= gpu.device.limits().max_storage_buffer_binding_size
+    }
+
+    /// Size of the picture.
+    #[must_use]
+    pub fn size(&self) -> FrameSize {
+        self.size
+    }
+
+    /// Bytes on the device.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Group 2 of the screen-space composite.
+    #[must_use]
+    pub fn read_group(&self) -> &wgpu::BindGroup {
+        &self.read_group
+    }
+
+    /// Submits one sample of one layer for rows from `view.first_row` on; returns the rows of whole blocks marched.
+    pub fn submit_strip(
+        &self,
+        gpu: &Gpu,
+        timing: &mut TimingRing,
+        pipelines: &Pipelines,
+        cell: &CellBuffers,
+        features: Features,
+        view: &layout::View,
+        rows: u32,
+    ) {
+        let Some(pipeline) = pipelines.get(pixels_key(features)) else {
+            return;
+        };
+        gpu.queue
+            .write_buffer(&self.view, 0, bytemuck::bytes_of(view));
+        timing.begin();
+        let mut encoder = gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
+                label: Some("march pixels"),
+            });
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some("march pixels"),
+            timestamp_writes: timing.pass(TimedPass::ScreenSpace, u64::from(rows) * u64::from(self.size.width())),
+        });
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(0, &cell.scene_group, &[]);
+        pass.set_bind_group(1, cell.field_group(), &[]);
+        pass.set_bind_group(2, &self.write_group, &[]);
+        pass.set_bind_group(3, &self.view_group, &[]);
+        pass.dispatch_workgroups(self.size.width().div_ceil(8), rows.div_ceil(8), 1);
+        drop(pass);
+        timing.resolve(&mut encoder);
+        gpu.queue.submit([encoder.finish()]);
+        timing.submitted();
+    }
+}

@@ -1,0 +1,190 @@
+//! Light that is the same for a whole cell, computed in f64 when the scene changes: what reaches the clouds from the
+//! sun, the sky above and the ground. The sky's formulas are those of `sky/analytic.wgsl`.
+
+use glam::DVec3;
+use skycell_protocol::Scene;
+use skycell_protocol::scene::Atmosphere;
+use std::f64::consts::{FRAC_1_PI, PI};
+
+/// Rayleigh scattering at sea level at 680, 550 and 440 nm: 1.24062e-6 / λ⁴ per metre, λ in µm (the constant of
+/// E. Bruneton's precomputed atmospheric scattering, 2017), times the scale height of 8 km.
+const RAYLEIGH_OPTICAL_DEPTH: [f64; 3] = [0.046_418, 0.108_463, 0.264_804];
+/// Scale heights of air and aerosol.
+const SCALE_HEIGHTS_M: [f64; 2] = [8_000.0, 1_200.0];
+/// Mean cosine of continental aerosol.
+const AEROSOL_ASYMMETRY: f64 = 0.76;
+/// Angular radius of the sun as seen from the earth.
+const SUN_ANGULAR_RADIUS_DEG: f64 = 0.2666;
+
+/// Light from outside the clouds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SkyLight {
+    /// Unit vector towards the sun.
+    pub sun_direction: DVec3,
+    /// Angular radius of the sun, rad.
+    pub sun_angular_radius_rad: f64,
+    /// Spectral irradiance above the atmosphere.
+    pub sun_irradiance: DVec3,
+    /// Spectral irradiance at cloud height, facing the sun.
+    pub irradiance_at_clouds: DVec3,
+    /// Optical depth of the air straight up.
+    pub rayleigh_optical_depth: DVec3,
+    /// Optical depth of the aerosol straight up.
+    pub aerosol_optical_depth: f64,
+    /// Asymmetry of the aerosol.
+    pub aerosol_asymmetry: f64,
+    /// Mean radiance of the sky above.
+    pub mean_radiance: DVec3,
+    /// Radiance of the lit ground.
+    pub ground_radiance: DVec3,
+    /// Transmittance of sunlight down to the ground.
+    pub sun_transmittance: DVec3,
+}
+
+fn exp(v: DVec3) -> DVec3 {
+    DVec3::new(v.x.exp(), v.y.exp(), v.z.exp())
+}
+
+fn one_minus_exp_over(x: f64) -> f64 {
+    if x < 1e-12 { 1.0 } else { -(-x).exp_m1() / x }
+}
+
+fn phase_hg_per_sr(g: f64, one_minus_mu: f64) -> f64 {
+    let base = (1.0 - g).powi(2) + 2.0 * g * one_minus_mu;
+    (1.0 - g * g) / (4.0 * PI * base.powf(1.5))
+}
+
+/// Path through a shell of height H in units of H.
+fn relative_air_mass(planet_radius_m: f64, scale_height_m: f64, mu: f64) -> f64 {
+    let r = planet_radius_m / scale_height_m;
+    let along = r * mu.max(0.0);
+    (2.0 * r + 1.0) / ((along * along + 2.0 * r + 1.0).sqrt() + along)
+}
+
+impl SkyLight {
+    fn column(&self, planet_radius_m: f64, mu: f64) -> (DVec3, f64) {
+        (
+            self.rayleigh_optical_depth
+                * relative_air_mass(planet_radius_m, SCALE_HEIGHTS_M[0], mu),
+            self.aerosol_optical_depth * relative_air_mass(planet_radius_m, SCALE_HEIGHTS_M[1], mu),
+        )
+    }
+
+    /// Radiance of the cloudless sky towards a direction at or above the horizon.
+    fn radiance(&self, planet_radius_m: f64, direction: DVec3) -> DVec3 {
+        let (rayleigh, aerosol) = self.column(planet_radius_m, direction.y);
+        let view_depth = rayleigh + aerosol;
+        let (sun_rayleigh, sun_aerosol) = self.column(planet_radius_m, self.sun_direction.y);
+        let sun_depth = sun_rayleigh + sun_aerosol;
+        let angle = 0.5 * (direction - self.sun_direction).length_squared();
+        let mu = 1.0 - angle;
+        let scattered = rayleigh * (3.0 / (16.0 * PI) * (1.0 + mu * mu))
+            + aerosol * phase_hg_per_sr(self.aerosol_asymmetry, angle);
+        let difference = (sun_depth - view_depth).abs();
+        let slab = exp(-sun_depth.min(view_depth))
+            * DVec3::from_array(difference.to_array().map(one_minus_exp_over));
+        let diffuse = 0.5
+            * (DVec3::ONE - exp(-view_depth))
+            * (DVec3::ONE - exp(-0.5 * sun_depth))
+            * exp(-0.25 * sun_depth);
+        let t = ((self.sun_direction.y + 0.1) / 0.15).clamp(0.0, 1.0);
+        let lit = t * t * (3.0 - 2.0 * t);
+        lit * self.sun_irradiance * (scattered * slab + diffuse / (4.0 * PI))
+    }
+}
+
+/// Evaluates the light of a scene for clouds around an altitude.
+#[must_use]
+pub fn sky_light(scene: &Scene, cloud_altitude_m: f64) -> SkyLight {
+    let radius_m = scene.planet().radius_m();
+    let Atmosphere::Analytic(atmosphere) = scene.atmosphere();
+    let mut light = SkyLight {
+        sun_direction: scene.sun().direction(),
+        sun_angular_radius_rad: SUN_ANGULAR_RADIUS_DEG.to_radians(),
+        sun_irradiance: DVec3::from_array(scene.sun().irradiance_w_per_m2_nm()),
+        irradiance_at_clouds: DVec3::ZERO,
+        rayleigh_optical_depth: DVec3::from_array(RAYLEIGH_OPTICAL_DEPTH),
+        aerosol_optical_depth: atmosphere.aerosol_optical_depth(),
+        aerosol_asymmetry: AEROSOL_ASYMMETRY,
+        mean_radiance: DVec3::ZERO,
+        ground_radiance: DVec3::ZERO,
+        sun_transmittance: DVec3::ZERO,
+    };
+    let mu_sun = light.sun_direction.y;
+    let (rayleigh, aerosol) = light.column(radius_m, mu_sun);
+    let share_above = |scale: f64| (-cloud_altitude_m.max(0.0) / scale).exp();
+    let above_clouds =
+        rayleigh * share_above(SCALE_HEIGHTS_M[0]) + aerosol * share_above(SCALE_HEIGHTS_M[1]);
+    // Clouds see the sun until it is a disc's radius under their own, lower horizon.
+    let visible = |altitude_m: f64| {
+        let dip_rad = (radius_m / (radius_m + altitude_m.max(0.0))).acos();
+        let elevation_rad = mu_sun.clamp(-1.0, 1.0).asin();
+        let t = (elevation_rad + dip_rad) / (2.0 * light.sun_angular_radius_rad) + 0.5;
+        let t = t.clamp(0.0, 1.0);
+        t * t * (3.0 - 2.0 * t)
+    };
+    light.irradiance_at_clouds =
+        light.sun_irradiance * exp(-above_clouds) * visible(cloud_altitude_m);
+    light.sun_transmittance = exp(-(rayleigh + aerosol)) * visible(0.0);
+    light.mean_radiance = hemisphere_mean(|direction| light.radiance(radius_m, direction));
+    let ground_irradiance = light.sun_irradiance * light.sun_transmittance * mu_sun.max(0.0)
+        + PI * light.mean_radiance;
+    light.ground_radiance = scene.planet().ground_albedo() * FRAC_1_PI * ground_irradiance;
+    light
+}
+
+/// Mean over the upper hemisphere, rings of equal solid angle.
+fn hemisphere_mean(radiance: impl Fn(DVec3) -> DVec3) -> DVec3 {
+    const RINGS: u32 = 16;
+    const SECTORS: u32 = 32;
+    let mut sum = DVec3::ZERO;
+    for ring in 0..RINGS {
+        let y = (f64::from(ring) + 0.5) / f64::from(RINGS);
+        let across = (1.0 - y * y).sqrt();
+        for sector in 0..SECTORS {
+            let angle = 2.0 * PI * (f64::from(sector) + 0.5) / f64::from(SECTORS);
+            sum += radiance(DVec3::new(across * angle.cos(), y, across * angle.sin()));
+        }
+    }
+    sum / f64::from(RINGS * SECTORS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn light_at(elevation_deg: f64) -> SkyLight {
+        let document = json!({"version": 1, "sun": {"elevation_deg": elevation_deg}});
+        sky_light(&Scene::from_json(&document).expect("valid"), 2_000.0)
+    }
+
+    #[test]
+    fn light_is_finite_and_never_negative_at_any_sun() {
+        for elevation in [-90.0, -10.0, -1.0, 0.0, 0.1, 5.0, 45.0, 90.0] {
+            let light = light_at(elevation);
+            for value in [
+                light.irradiance_at_clouds,
+                light.mean_radiance,
+                light.ground_radiance,
+            ] {
+                assert!(value.is_finite() && value.min_element() >= 0.0, "{elevation}: {value}");
+            }
+        }
+    }
+
+    #[test]
+    fn sunlight_reddens_towards_the_horizon_and_the_noon_sky_is_blue() {
+        let ratio = |l: &SkyLight| l.irradiance_at_clouds.x / l.irradiance_at_clouds.z;
+        assert!(ratio(&light_at(2.0)) > 2.0 * ratio(&light_at(60.0)));
+        let noon = light_at(60.0).mean_radiance;
+        assert!(noon.z > 1.5 * noon.x);
+    }
+
+    #[test]
+    fn at_night_nothing_is_lit() {
+        let light = light_at(-20.0);
+        assert_eq!(light.irradiance_at_clouds, DVec3::ZERO);
+        assert_eq!(light.ground_radiance, DVec3::ZERO);
+    }
+}

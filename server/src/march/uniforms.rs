@@ -1,0 +1,287 @@
+//! The scene as the shaders read it, in the frame of one cell.
+
+use super::{CellFrame, SkyLight};
+use crate::field::{SKIP_RANGE_SHARE, mean_height_fraction};
+use glam::DVec3;
+use skycell_protocol::Scene;
+use skycell_protocol::scene::{DensityModel, PhaseFunction};
+use skycell_shaders::{Features, layout};
+
+/// Factor from radiance (per unit of the sun's spectral irradiance in W/(m² nm)) to the tone curve at 0 EV.
+/// Tuned: puts a sunlit cumulus just under the shoulder, the noon sky at middle grey (`skycell-server render`).
+const EXPOSURE_AT_ZERO_EV: f64 = 2.6;
+
+/// How finely rays are marched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MarchSettings {
+    /// Steps through the thickness of a layer at close range.
+    pub steps: u32,
+}
+
+impl Default for MarchSettings {
+    fn default() -> Self {
+        Self { steps: 96 }
+    }
+}
+
+/// A layer that can show something, with where it comes from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ActiveLayer {
+    /// Index in the scene's layers.
+    pub scene_index: usize,
+    /// Altitude of its proxy sphere, m.
+    pub proxy_altitude_m: f64,
+}
+
+/// The layers that need any work, sorted by the altitude of their proxy spheres: a layer without thickness, extinction
+/// or coverage has no cache, no pass and no read.
+#[must_use]
+pub fn active_layers(scene: &Scene) -> Vec<ActiveLayer> {
+    let mut active: Vec<ActiveLayer> = scene
+        .layers()
+        .iter()
+        .enumerate()
+        .filter(|(_, layer)| {
+            let covers = match layer.density() {
+                DensityModel::Weather(weather) => weather.coverage() > 0.0,
+                DensityModel::Homogeneous => true,
+            };
+            covers
+                && layer.extinction_per_m() > 0.0
+                && layer.top_altitude_m() > layer.base_altitude_m()
+        })
+        .map(|(scene_index, layer)| {
+            let height_fraction = match layer.density() {
+                DensityModel::Weather(weather) => mean_height_fraction(weather.cloud_type()),
+                DensityModel::Homogeneous => 0.5,
+            };
+            let thickness_m = layer.top_altitude_m() - layer.base_altitude_m();
+            ActiveLayer {
+                scene_index,
+                proxy_altitude_m: layer.base_altitude_m() + height_fraction * thickness_m,
+            }
+        })
+        .collect();
+    active.sort_by(|a, b| a.proxy_altitude_m.total_cmp(&b.proxy_altitude_m));
+    active
+}
+
+/// What the marching kernels are specialised to for one layer of a scene.
+#[must_use]
+pub fn layer_features(scene: &Scene, scene_index: usize) -> Features {
+    Features {
+        octave_vectors: scene.light().octaves().div_ceil(4),
+        weather: scene
+            .layers()
+            .get(scene_index)
+            .is_some_and(|layer| matches!(layer.density(), DensityModel::Weather(_))),
+        ..Features::default()
+    }
+}
+
+/// How far each layer's wind has carried its clouds by a time, m: x and z, y unused.
+#[must_use]
+pub fn wind_drifts(scene: &Scene, time_s: f64) -> Vec<DVec3> {
+    (0..scene.layers().len())
+        .map(|index| scene.layer_wind(index).velocity_m_per_s() * time_s)
+        .collect()
+}
+
+/// Parameters of the phase: HG asymmetry, Draine's asymmetry, α and weight.
+fn phase_parameters(phase: &PhaseFunction) -> (u32, [f64; 4]) {
+    match *phase {
+        PhaseFunction::Isotropic => (0, [0.0; 4]),
+        PhaseFunction::Hg { g } => (1, [g, 0.0, 0.0, 0.0]),
+        PhaseFunction::Draine { g, alpha } => (2, [0.0, g, alpha, 1.0]),
+        PhaseFunction::HgDraine {
+            droplet_diameter_um: d,
+        } => (3, hg_draine_parameters(d)),
+    }
+}
+
+/// g_HG, g_D, α and w of the blend for a droplet diameter (Jendersie & d'Eon 2023, eq. 4 to 7, 5 µm ≤ d ≤ 50 µm).
+#[must_use]
+pub fn hg_draine_parameters(diameter_um: f64) -> [f64; 4] {
+    let d = diameter_um;
+    [
+        (-0.099_056_7 / (d - 1.671_54)).exp(),
+        (-2.206_79 / (d + 3.910_29) - 0.428_934).exp(),
+        (3.624_89 - 8.292_88 / (d + 5.525_82)).exp(),
+        (-0.599_085 / (d - 0.641_583) - 0.665_888).exp(),
+    ]
+}
+
+fn powers(base: f64, octaves: u32, beyond: f64) -> [[f32; 4]; 4] {
+    let mut rows = [[0.0; 4]; 4];
+    for i in 0..16u32 {
+        let value = if i < octaves {
+            base.powi(i as i32)
+        } else {
+            beyond
+        };
+        rows[(i / 4) as usize][(i % 4) as usize] = value as f32;
+    }
+    rows
+}
+
+fn f32s(v: DVec3) -> [f32; 3] {
+    v.as_vec3().to_array()
+}
+
+/// Offset of a periodic field in periods, 0…1: reduced in f64, so that neither place nor time costs precision.
+fn period_offset(origin_m: f64, drift_m: f64, period_m: f64) -> f32 {
+    ((origin_m - drift_m) / period_m).rem_euclid(1.0) as f32
+}
+
+/// The scene in the frame of a cell. `drifts` are those of [`wind_drifts`], `anchors` the address centres of the active
+/// layers in the cell's frame.
+#[must_use]
+pub fn scene_uniform(
+    scene: &Scene,
+    active: &[ActiveLayer],
+    light: &SkyLight,
+    settings: MarchSettings,
+    frame: &CellFrame,
+    drifts: &[DVec3],
+    anchors: &[DVec3],
+) -> layout::Scene {
+    let octaves = scene.light().octaves();
+    let (phase_model, [g_hg, g_draine, alpha, weight]) = phase_parameters(scene.light().phase());
+    let mut uniform = layout::Scene {
+        planet: layout::Planet {
+            radius_m: scene.planet().radius_m() as f32,
+            ground_albedo: scene.planet().ground_albedo() as f32,
+            ..Default::default()
+        },
+        layer_count: active.len() as u32,
+        exposure: (EXPOSURE_AT_ZERO_EV * scene.exposure_ev().exp2()) as f32,
+        sun: layout::Sun {
+            direction: f32s(light.sun_direction),
+            angular_radius_rad: light.sun_angular_radius_rad as f32,
+            irradiance: f32s(light.sun_irradiance),
+            one_minus_mu_disc: (2.0 * (0.5 * light.sun_angular_radius_rad).sin().powi(2)) as f32,
+            irradiance_at_clouds: f32s(light.irradiance_at_clouds),
+            ground_irradiance_factor: light.sun_direction.y.max(0.0) as f32,
+        },
+        sky: layout::Sky {
+            rayleigh_optical_depth: f32s(light.rayleigh_optical_depth),
+            aerosol_optical_depth: light.aerosol_optical_depth as f32,
+            mean_radiance: f32s(light.mean_radiance),
+            aerosol_asymmetry: light.aerosol_asymmetry as f32,
+            ground_radiance: f32s(light.ground_radiance),
+            sun_transmittance: f32s(light.sun_transmittance),
+            ..Default::default()
+        },
+        light: layout::Light {
+            phase_model,
+            g_hg: g_hg as f32,
+            g_draine: g_draine as f32,
+            alpha_draine: alpha as f32,
+            draine_weight: weight as f32,
+            octaves,
+            sun_steps: scene.light().sun_steps(),
+            sun_march_distance_m: scene.light().sun_march_distance_m() as f32,
+            // A huge attenuation silences the unused components of the last vector.
+            octave_attenuation: powers(scene.light().octave_attenuation(), octaves, 1e6),
+            octave_contribution: powers(scene.light().octave_contribution(), octaves, 0.0),
+            octave_eccentricity: powers(scene.light().octave_eccentricity(), octaves, 0.0),
+            ambient: scene.light().ambient() as f32,
+            ..Default::default()
+        },
+        ..Default::default()
+    };
+    for (place, (layer, anchor)) in active.iter().zip(anchors).enumerate().take(4) {
+        let drift = drifts.get(layer.scene_index).copied().unwrap_or_default();
+        uniform.layers[place] = layer_uniform(scene, *layer, place, settings, frame, drift, *anchor);
+    }
+    uniform
+}
+
+fn layer_uniform(
+    scene: &Scene,
+    active: ActiveLayer,
+    place: usize,
+    settings: MarchSettings,
+    frame: &CellFrame,
+    drift: DVec3,
+    anchor: DVec3,
+) -> layout::Layer {
+    let layer = &scene.layers()[active.scene_index];
+    let thickness_m = layer.top_altitude_m() - layer.base_altitude_m();
+    let steps = f64::from(settings.steps.max(1));
+    let mut uniform = layout::Layer {
+        base_altitude_m: layer.base_altitude_m() as f32,
+        top_altitude_m: layer.top_altitude_m() as f32,
+        extinction_per_m: layer.extinction_per_m() as f32,
+        single_scattering_albedo: layer.single_scattering_albedo() as f32,
+        map_index: place as u32,
+        proxy_altitude_m: active.proxy_altitude_m as f32,
+        anchor: f32s(anchor),
+        step_min_m: (thickness_m / steps) as f32,
+        // A step grows with distance as the height that a pixel sees does.
+        step_per_distance: (0.5 / steps) as f32,
+        steps_max: 4 * settings.steps.max(1),
+        ..Default::default()
+    };
+    if let DensityModel::Weather(weather) = layer.density() {
+        let [x, z] = frame.origin_m();
+        let offset = |period_m: f64| {
+            [
+                period_offset(x, drift.x, period_m),
+                0.0,
+                period_offset(z, drift.z, period_m),
+            ]
+        };
+        let map = offset(weather.map_span_m());
+        uniform.density_model = 1;
+        uniform.map_offset = [map[0], map[2]];
+        uniform.map_per_m = (1.0 / weather.map_span_m()) as f32;
+        uniform.shape_offset = offset(weather.shape_period_m());
+        uniform.shape_per_m = (1.0 / weather.shape_period_m()) as f32;
+        uniform.detail_offset = offset(weather.detail_period_m());
+        uniform.detail_per_m = (1.0 / weather.detail_period_m()) as f32;
+        uniform.coverage = weather.coverage() as f32;
+        uniform.cloud_type = weather.cloud_type() as f32;
+        uniform.detail_strength = weather.detail_strength() as f32;
+        uniform.skip_range_m = (weather.map_span_m() * SKIP_RANGE_SHARE) as f32;
+    }
+    uniform
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn layers_that_show_nothing_are_left_out() {
+        let document = json!({"version": 1, "layers": [
+            {"name": "thin", "base_altitude_m": 2000, "top_altitude_m": 2000},
+            {"name": "clear", "density": {"model": "weather", "coverage": 0}},
+            {"name": "glass", "extinction_per_m": 0},
+            {"name": "fog", "density": {"model": "homogeneous"}},
+        ]});
+        let scene = Scene::from_json(&document).expect("valid");
+        let active = active_layers(&scene);
+        assert_eq!(active.len(), 1);
+        assert_eq!(active[0].scene_index, 3);
+    }
+
+    #[test]
+    fn offsets_stay_exact_after_a_month_of_wind_at_the_far_side_of_the_planet() {
+        let drift = 20.0 * 30.0 * 86_400.0;
+        let offset = f64::from(period_offset(1.0e7 + 0.5, drift, 5_000.0));
+        let exact = ((1.0e7 + 0.5 - drift) / 5_000.0).rem_euclid(1.0);
+        assert!((offset - exact).abs() * 5_000.0 < 1e-3);
+    }
+
+    #[test]
+    fn droplets_of_ten_micrometres_have_the_published_parameters() {
+        // Values computed from the paper's eq. 4 to 7 in exact arithmetic.
+        let [g_hg, g_draine, alpha, w] = hg_draine_parameters(10.0);
+        assert!((g_hg - 0.98818).abs() < 1e-4, "{g_hg}");
+        assert!((g_draine - 0.5557).abs() < 1e-3, "{g_draine}");
+        assert!((alpha - 21.995).abs() < 1e-2, "{alpha}");
+        assert!((w - 0.48194).abs() < 1e-3, "{w}");
+    }
+}
