@@ -11,3 +11,7 @@ pub mod viewers;
 pub mod frame_loop;
 
 pub mod encode;
+pub mod stream;
+
+pub mod api;
+pub mod service;

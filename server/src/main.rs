@@ -1,2 +1,59 @@
-//! Skycell.
-fn main() {}
+//! `skycell-server`: the command line of the service.
+
+mod serve;
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+use skycell_server::config::{Config, Flags};
+
+/// Renders a shared sky and streams it to its viewers.
+#[derive(Parser)]
+#[command(name = "skycell-server", version, about)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Serve the sky to viewers.
+    Serve(ServeArgs),
+}
+
+#[derive(Args)]
+struct ServeArgs {
+    /// Listen here instead of on 127.0.0.1:8080.
+    #[arg(long, value_name = "ADDR:PORT")]
+    listen: Option<SocketAddr>,
+    /// Keep the scene and the noise cache in this folder.
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
+    /// Read settings from this TOML file. SKYCELL_... variables and flags override it.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+fn main() -> ExitCode {
+    let result = match Cli::parse().command {
+        Command::Serve(args) => serve(args),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("skycell-server: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn serve(args: ServeArgs) -> anyhow::Result<()> {
+    let config = Config::load(&Flags {
+        listen: args.listen,
+        state_dir: args.state,
+        file: args.config,
+    })?;
+    serve::run(config)
+}

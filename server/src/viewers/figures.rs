@@ -2,7 +2,6 @@
 
 use std::collections::VecDeque;
 
-use serde::Serialize;
 use skycell_protocol::FrameSequence;
 
 /// How many of the latest frames the percentiles of age are taken from: about ten seconds' worth.
@@ -49,7 +48,7 @@ struct RateStart {
 
 /// How old frames were when the client had them: from the composite's submission to the GPU until
 /// the acknowledgement's arrival, so with the way there and back.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameAge {
     /// Half of the recent frames were younger.
     pub p50_ms: f64,
