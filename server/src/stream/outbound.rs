@@ -49,7 +49,7 @@ pub(super) async fn write(
         viewer,
         context,
         last: None,
-        last_frame_at: Instant::now(),
+        last_binary_at: Instant::now(),
         rates_from: Instant::now(),
     };
     let start = Instant::now();
@@ -60,7 +60,7 @@ pub(super) async fn write(
     let mut ping = interval_at(start + ping_interval, ping_interval);
     ping.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
-        let heartbeat_at = outbound.last_frame_at + HEARTBEAT_INTERVAL;
+        let heartbeat_at = outbound.last_binary_at + HEARTBEAT_INTERVAL;
         let result = tokio::select! {
             frame = viewer.outbox().next() => outbound.frame(frame).await,
             Some(answer) = answers.recv() => outbound.say(&answer).await,
@@ -80,7 +80,7 @@ struct Outbound<'a> {
     viewer: &'a Viewer,
     context: &'a StreamContext,
     last: Option<FrameHeader>,
-    last_frame_at: Instant,
+    last_binary_at: Instant,
     rates_from: Instant,
 }
 
@@ -94,7 +94,7 @@ impl Outbound<'_> {
             .sent_frame(header.sequence, header.render_unix_us);
         self.last = Some(header);
         self.send(Message::Binary(message)).await?;
-        self.last_frame_at = Instant::now();
+        self.last_binary_at = Instant::now();
         Ok(())
     }
 
@@ -118,7 +118,7 @@ impl Outbound<'_> {
         };
         let message = Bytes::copy_from_slice(&header.encode());
         self.send(Message::Binary(message)).await?;
-        self.last_frame_at = Instant::now();
+        self.last_binary_at = Instant::now();
         Ok(())
     }
 

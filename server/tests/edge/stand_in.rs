@@ -62,6 +62,8 @@ impl StandIn {
             viewers: BTreeMap::new(),
             totals: RenderTotals::default(),
         };
+        // As the real one, which knows its adapter before it starts its thread.
+        stats.publish(state.stats());
         let handle = FrameLoopHandle::new(sender, Arc::clone(&stats));
         let thread = std::thread::spawn(move || {
             let _ready = (!behaviour.never_ready).then(|| stats.ready());
