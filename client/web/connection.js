@@ -64,6 +64,7 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @typedef {object} ConnectionStatus
  * @property {"connecting" | "open" | "waiting" | "closed"} state  waiting: for the next try
  * @property {string} message  the state, for people
+ * @property {number | null} retry_in_s  while waiting: until the next try
  * @property {string} problem  the server's last complaint, "" without one
  * @property {Welcome | null} welcome
  * @property {ServerStatus | null} server
@@ -138,7 +139,6 @@ export class Connection {
   #opened_ms = 0;
   #heard_ms = 0;
   #retry_ms = 0;
-  #outage = "";
   /** @type {ReturnType<typeof setTimeout> | undefined} */ #retry_timer;
   /** @type {ReturnType<typeof setInterval>} */ #status_timer;
   /** @type {{ at_ms: number, bytes: number }[]} */ #received = [];
@@ -149,6 +149,7 @@ export class Connection {
   /** @type {ConnectionStatus} */ #status = {
     state: "connecting",
     message: "Connecting…",
+    retry_in_s: null,
     problem: "",
     welcome: null,
     server: null,
@@ -399,8 +400,7 @@ export class Connection {
     if (reason && !this.#status.problem) this.#status.problem = `${reason} (${code})`;
     const delay_ms = retryDelayMs(this.#failures, Math.random());
     this.#retry_ms = performance.now() + delay_ms;
-    this.#outage = was_open ? "Connection lost" : "No connection";
-    this.#change("waiting", this.#outage);
+    this.#change("waiting", was_open ? "Connection lost, trying again" : "No connection, trying again");
     this.#retry_timer = setTimeout(() => this.#open(), delay_ms);
   }
 
@@ -444,8 +444,7 @@ export class Connection {
     this.#status.fps = this.#shown.length / (RATE_WINDOW_MS / 1000);
     this.#status.mbit_per_s = (bytes * 8) / 1e6 / (RATE_WINDOW_MS / 1000);
     if (this.#status.state === "waiting") {
-      const seconds = Math.max(0, Math.ceil((this.#retry_ms - performance.now()) / 1000));
-      this.#status.message = `${this.#outage}: trying again in ${seconds} s`;
+      this.#status.retry_in_s = Math.max(0, Math.ceil((this.#retry_ms - performance.now()) / 1000));
     }
     for (const handler of this.#status_handlers) handler(this.status);
   }
@@ -457,6 +456,7 @@ export class Connection {
   #change(state, message) {
     this.#status.state = state;
     this.#status.message = message;
+    this.#status.retry_in_s = null;
     this.#report();
   }
 }

@@ -151,6 +151,7 @@ let last_welcome = null;
 connection.onStatus((status) => {
   document.documentElement.dataset.state = status.state;
   write("state", status.message);
+  write("countdown", status.retry_in_s === null ? "" : ` in ${status.retry_in_s} s`);
   write("problem", status.problem);
   showFigures(status);
   if (status.welcome && status.welcome !== last_welcome) {
