@@ -30,7 +30,7 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @typedef {object} Welcome
  * @property {number} protocol
  * @property {number} viewer
- * @property {number} cell
+ * @property {number | null} cell  null until the renderer has placed the viewer
  * @property {string} server
  * @property {string} adapter
  * @property {number} max_width
@@ -41,7 +41,7 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
 
 /**
  * @typedef {object} ServerStatus  sent by the server once a second
- * @property {number} cell
+ * @property {number | null} cell
  * @property {string} cell_name
  * @property {number} viewers_in_cell
  * @property {number} overlap  0 to 1
@@ -284,7 +284,7 @@ export class Connection {
         this.#report();
         break;
       case "error":
-        this.#status.problem = [message.pointer, message.message].filter(Boolean).join(": ");
+        this.#status.problem = message.message;
         if (message.code === "wrong-protocol") {
           this.#end("The server speaks another version of the protocol: reload the page.");
         } else {

@@ -126,6 +126,12 @@ function showHeading() {
   );
 }
 
+/** @param {import("./connection.js").ServerStatus} server */
+function texelsText({ texels_pending, sky_converged }) {
+  if (texels_pending > 0) return `${grouped.format(texels_pending)} pending`;
+  return sky_converged ? "converged" : "none pending";
+}
+
 /** @param {ConnectionStatus} status */
 function showFigures(status) {
   const { server, header, fps, mbit_per_s, latency_ms, frame_age_ms } = status;
@@ -136,13 +142,10 @@ function showFigures(status) {
   // By two clocks: an age below zero or of minutes says that they differ, not how old the frame is.
   const age_known = frame_age_ms !== null && frame_age_ms >= 0 && frame_age_ms < 60_000;
   write("age", age_known ? `${frame_age_ms.toFixed(0)} ms` : "–");
-  write("cell", server ? server.cell_name || `cell ${server.cell}` : "–");
+  write("cell", server && server.cell !== null ? server.cell_name || `cell ${server.cell}` : "–");
   write("viewers", server ? String(server.viewers_in_cell) : "–");
   write("overlap", server ? `${(server.overlap * 100).toFixed(0)} %` : "–");
-  write(
-    "texels",
-    !server ? "–" : server.texels_pending > 0 ? `${grouped.format(server.texels_pending)} pending` : server.sky_converged ? "converged" : "none pending",
-  );
+  write("texels", server ? texelsText(server) : "–");
   write("picture-size", header ? `${header.width} × ${header.height}${header.coarse ? ", still coarse" : ""}` : "–");
 }
 

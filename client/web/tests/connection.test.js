@@ -130,10 +130,10 @@ test("an acknowledgement never reaches the session after its own", (t) => {
   assert.deepEqual(next.sent.map(({ type }) => type), ["hello"]);
 });
 
-test("the server's complaint is told by its place, and a wrong protocol ends the tries", (t) => {
+test("the server's complaint is shown, and a wrong protocol ends the tries", (t) => {
   const { connection, socket } = connected(t);
-  socket.say({ type: "error", code: "bad-value", pointer: "/camera/yaw_deg", message: "too large" });
-  assert.equal(connection.status.problem, "/camera/yaw_deg: too large");
+  socket.say({ type: "error", code: "bad-value", pointer: "/camera/yaw_deg", message: "/camera/yaw_deg is 1e7; allowed: …" });
+  assert.equal(connection.status.problem, "/camera/yaw_deg is 1e7; allowed: …");
   assert.equal(connection.status.state, "open");
   socket.say({ type: "error", code: "wrong-protocol", message: "speaks 2" });
   assert.equal(connection.status.state, "closed");
