@@ -1,0 +1,332 @@
+//! The header in front of every frame.
+//!
+//! A binary WebSocket message from the server is this header, then `payload_bytes` bytes of the
+//! compressed picture. All numbers are little-endian.
+//!
+//! | bytes | field | type | meaning |
+//! | --- | --- | --- | --- |
+//! | 0..4 | magic | 4 bytes | `SKYF` |
+//! | 4 | version | u8 | 1 |
+//! | 5 | codec | u8 | 0 no picture (heartbeat), 1 JPEG, 2 PNG |
+//! | 6..8 | flags | u16 | bit 0 heartbeat, bit 1 coarse; others are 0 |
+//! | 8..12 | sequence | u32 | number of the frame in this viewer's stream, from 1; numbers of dropped frames are missing. Heartbeat: that of the last frame sent, 0 if none |
+//! | 12..14 | width | u16 | pixels; heartbeat: 0 |
+//! | 14..16 | height | u16 | pixels; heartbeat: 0 |
+//! | 16..24 | scene_revision | u64 | revision of the scene that the frame shows; heartbeat: that of the last frame sent |
+//! | 24..32 | input | u64 | the last `camera` input that the frame has applied; heartbeat: that of the last frame sent |
+//! | 32..36 | cell | u32 | the view cell that the frame was composited from |
+//! | 36..40 | viewer | u32 | whose frame it is |
+//! | 40..48 | render_unix_us | u64 | server's clock when the composite was submitted to the GPU, µs since 1970; heartbeat: when the heartbeat was sent |
+//! | 48..52 | render_to_encode_us | u32 | from `render_unix_us` until encoding began: GPU, readback and waiting for an encoder |
+//! | 52..56 | encode_us | u32 | how long encoding took |
+//! | 56..60 | encode_to_send_us | u32 | from the end of encoding until the frame was handed to the socket: waiting in the latest-wins slot |
+//! | 60..64 | payload_bytes | u32 | length of what follows the header |
+//!
+//! So `render_unix_us + render_to_encode_us + encode_us + encode_to_send_us` is the server's clock
+//! when the frame was sent. Durations too long for their field are stored as the largest number.
+
+use thiserror::Error;
+
+use crate::{CellId, Codec, FrameSequence, InputSequence, ViewerId};
+
+/// Length of an encoded header.
+pub const FRAME_HEADER_BYTES: usize = 64;
+/// The first bytes of every frame.
+pub const FRAME_MAGIC: [u8; 4] = *b"SKYF";
+/// The version of the header.
+pub const FRAME_HEADER_VERSION: u8 = 1;
+
+const FLAG_HEARTBEAT: u16 = 1 << 0;
+const FLAG_COARSE: u16 = 1 << 1;
+
+/// What follows the header.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum FrameCodec {
+    /// Nothing: the header is a sign of life.
+    None,
+    /// A JPEG file.
+    Jpeg,
+    /// A PNG file.
+    Png,
+}
+
+impl From<Codec> for FrameCodec {
+    fn from(codec: Codec) -> Self {
+        match codec {
+            Codec::Jpeg => Self::Jpeg,
+            Codec::Png => Self::Png,
+        }
+    }
+}
+
+/// The header in front of every frame; the module tells its bytes and what each field means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameHeader {
+    /// What follows the header.
+    pub codec: FrameCodec,
+    /// The header is a sign of life and shows nothing new.
+    pub heartbeat: bool,
+    /// Some visible part of the sky is not yet at the resolution that was asked for.
+    pub coarse: bool,
+    /// Number of the frame in this viewer's stream.
+    pub sequence: FrameSequence,
+    /// Pixels in a row.
+    pub width: u16,
+    /// Rows.
+    pub height: u16,
+    /// Revision of the scene that the frame shows.
+    pub scene_revision: u64,
+    /// The last camera input that the frame has applied.
+    pub input: InputSequence,
+    /// The view cell that the frame was composited from.
+    pub cell: CellId,
+    /// Whose frame it is.
+    pub viewer: ViewerId,
+    /// Server's clock when the composite was submitted to the GPU, µs since 1970.
+    pub render_unix_us: u64,
+    /// From `render_unix_us` until encoding began.
+    pub render_to_encode_us: u32,
+    /// How long encoding took.
+    pub encode_us: u32,
+    /// From the end of encoding until the frame was handed to the socket.
+    pub encode_to_send_us: u32,
+    /// Length of what follows the header.
+    pub payload_bytes: u32,
+}
+
+/// Why bytes are no frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum FrameError {
+    /// Fewer bytes than a header has.
+    #[error("{0} bytes are too few for a frame header of {FRAME_HEADER_BYTES}")]
+    Truncated(usize),
+    /// The bytes do not begin with [`FRAME_MAGIC`].
+    #[error("not a frame: begins with {0:?} instead of SKYF")]
+    WrongMagic([u8; 4]),
+    /// A version that this crate does not know.
+    #[error("frame header version {0} is unknown; known: {FRAME_HEADER_VERSION}")]
+    UnknownVersion(u8),
+    /// A codec that this crate does not know.
+    #[error("frame codec {0} is unknown; known: 0 none, 1 JPEG, 2 PNG")]
+    UnknownCodec(u8),
+    /// The payload is not as long as the header says.
+    #[error("the header announces {announced} payload bytes and {found} follow")]
+    WrongPayloadLength {
+        /// What the header says.
+        announced: u32,
+        /// What follows the header.
+        found: usize,
+    },
+}
+
+impl FrameHeader {
+    /// The header as bytes.
+    pub fn encode(&self) -> [u8; FRAME_HEADER_BYTES] {
+        let mut bytes = [0; FRAME_HEADER_BYTES];
+        let mut flags = 0;
+        if self.heartbeat {
+            flags |= FLAG_HEARTBEAT;
+        }
+        if self.coarse {
+            flags |= FLAG_COARSE;
+        }
+        bytes[0..4].copy_from_slice(&FRAME_MAGIC);
+        bytes[4] = FRAME_HEADER_VERSION;
+        bytes[5] = match self.codec {
+            FrameCodec::None => 0,
+            FrameCodec::Jpeg => 1,
+            FrameCodec::Png => 2,
+        };
+        bytes[6..8].copy_from_slice(&flags.to_le_bytes());
+        bytes[8..12].copy_from_slice(&self.sequence.0.to_le_bytes());
+        bytes[12..14].copy_from_slice(&self.width.to_le_bytes());
+        bytes[14..16].copy_from_slice(&self.height.to_le_bytes());
+        bytes[16..24].copy_from_slice(&self.scene_revision.to_le_bytes());
+        bytes[24..32].copy_from_slice(&self.input.0.to_le_bytes());
+        bytes[32..36].copy_from_slice(&self.cell.0.to_le_bytes());
+        bytes[36..40].copy_from_slice(&self.viewer.0.to_le_bytes());
+        bytes[40..48].copy_from_slice(&self.render_unix_us.to_le_bytes());
+        bytes[48..52].copy_from_slice(&self.render_to_encode_us.to_le_bytes());
+        bytes[52..56].copy_from_slice(&self.encode_us.to_le_bytes());
+        bytes[56..60].copy_from_slice(&self.encode_to_send_us.to_le_bytes());
+        bytes[60..64].copy_from_slice(&self.payload_bytes.to_le_bytes());
+        bytes
+    }
+
+    /// Reads the header at the front of `bytes`.
+    ///
+    /// # Errors
+    /// If the bytes are too few or are not a header of a known version and codec.
+    pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
+        let Some(header) = bytes.first_chunk::<FRAME_HEADER_BYTES>() else {
+            return Err(FrameError::Truncated(bytes.len()));
+        };
+        if header[0..4] != FRAME_MAGIC {
+            return Err(FrameError::WrongMagic(array_at(header, 0)));
+        }
+        if header[4] != FRAME_HEADER_VERSION {
+            return Err(FrameError::UnknownVersion(header[4]));
+        }
+        let codec = match header[5] {
+            0 => FrameCodec::None,
+            1 => FrameCodec::Jpeg,
+            2 => FrameCodec::Png,
+            other => return Err(FrameError::UnknownCodec(other)),
+        };
+        let flags = u16::from_le_bytes(array_at(header, 6));
+        Ok(Self {
+            codec,
+            heartbeat: flags & FLAG_HEARTBEAT != 0,
+            coarse: flags & FLAG_COARSE != 0,
+            sequence: FrameSequence(u32_at(header, 8)),
+            width: u16::from_le_bytes(array_at(header, 12)),
+            height: u16::from_le_bytes(array_at(header, 14)),
+            scene_revision: u64_at(header, 16),
+            input: InputSequence(u64_at(header, 24)),
+            cell: CellId(u32_at(header, 32)),
+            viewer: ViewerId(u32_at(header, 36)),
+            render_unix_us: u64_at(header, 40),
+            render_to_encode_us: u32_at(header, 48),
+            encode_us: u32_at(header, 52),
+            encode_to_send_us: u32_at(header, 56),
+            payload_bytes: u32_at(header, 60),
+        })
+    }
+
+    /// Splits a whole message into its header and its payload.
+    ///
+    /// # Errors
+    /// As [`FrameHeader::decode`], and if the payload is not as long as the header says.
+    pub fn split(message: &[u8]) -> Result<(Self, &[u8]), FrameError> {
+        let header = Self::decode(message)?;
+        let payload = &message[FRAME_HEADER_BYTES..];
+        if payload.len() as u64 != u64::from(header.payload_bytes) {
+            return Err(FrameError::WrongPayloadLength {
+                announced: header.payload_bytes,
+                found: payload.len(),
+            });
+        }
+        Ok((header, payload))
+    }
+
+    /// The server's clock when the frame was handed to the socket, µs since 1970.
+    pub fn sent_unix_us(&self) -> u64 {
+        self.render_unix_us
+            .saturating_add(u64::from(self.render_to_encode_us))
+            .saturating_add(u64::from(self.encode_us))
+            .saturating_add(u64::from(self.encode_to_send_us))
+    }
+}
+
+fn array_at<const N: usize>(header: &[u8; FRAME_HEADER_BYTES], offset: usize) -> [u8; N] {
+    std::array::from_fn(|index| header[offset + index])
+}
+
+fn u32_at(header: &[u8; FRAME_HEADER_BYTES], offset: usize) -> u32 {
+    u32::from_le_bytes(array_at(header, offset))
+}
+
+fn u64_at(header: &[u8; FRAME_HEADER_BYTES], offset: usize) -> u64 {
+    u64::from_le_bytes(array_at(header, offset))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn header() -> FrameHeader {
+        FrameHeader {
+            codec: FrameCodec::Jpeg,
+            heartbeat: false,
+            coarse: true,
+            sequence: FrameSequence(0x0102_0304),
+            width: 0x0506,
+            height: 0x0708,
+            scene_revision: 0x1112_1314_1516_1718,
+            input: InputSequence(0x2122_2324_2526_2728),
+            cell: CellId(0x3132_3334),
+            viewer: ViewerId(0x4142_4344),
+            render_unix_us: 0x5152_5354_5556_5758,
+            render_to_encode_us: 0x6162_6364,
+            encode_us: 0x7172_7374,
+            encode_to_send_us: 0x8182_8384,
+            payload_bytes: 2,
+        }
+    }
+
+    #[test]
+    fn the_bytes_of_a_header_are_pinned() {
+        let expected: [u8; FRAME_HEADER_BYTES] = [
+            b'S', b'K', b'Y', b'F', 1, 1, 2, 0, // magic, version, codec, flags
+            4, 3, 2, 1, 6, 5, 8, 7, // sequence, width, height
+            0x18, 0x17, 0x16, 0x15, 0x14, 0x13, 0x12, 0x11, // scene_revision
+            0x28, 0x27, 0x26, 0x25, 0x24, 0x23, 0x22, 0x21, // input
+            0x34, 0x33, 0x32, 0x31, 0x44, 0x43, 0x42, 0x41, // cell, viewer
+            0x58, 0x57, 0x56, 0x55, 0x54, 0x53, 0x52, 0x51, // render_unix_us
+            0x64, 0x63, 0x62, 0x61, 0x74, 0x73, 0x72, 0x71, // render_to_encode_us, encode_us
+            0x84, 0x83, 0x82, 0x81, 2, 0, 0, 0, // encode_to_send_us, payload_bytes
+        ];
+        assert_eq!(header().encode(), expected);
+    }
+
+    #[test]
+    fn what_is_not_a_frame_is_refused() {
+        let good = header().encode();
+        assert_eq!(
+            FrameHeader::decode(&good[..63]),
+            Err(FrameError::Truncated(63))
+        );
+        let with = |index: usize, byte: u8| {
+            let mut bytes = good;
+            bytes[index] = byte;
+            FrameHeader::decode(&bytes)
+        };
+        assert_eq!(with(0, b'X'), Err(FrameError::WrongMagic(*b"XKYF")));
+        assert_eq!(with(4, 2), Err(FrameError::UnknownVersion(2)));
+        assert_eq!(with(5, 3), Err(FrameError::UnknownCodec(3)));
+        assert_eq!(
+            FrameHeader::split(&good),
+            Err(FrameError::WrongPayloadLength {
+                announced: 2,
+                found: 0
+            })
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn a_header_survives_encoding_and_decoding(
+            (codec, heartbeat, coarse) in (0..3usize, any::<bool>(), any::<bool>()),
+            (sequence, width, height) in any::<(u32, u16, u16)>(),
+            (scene_revision, input, cell, viewer) in any::<(u64, u64, u32, u32)>(),
+            (render_unix_us, a, b, c, payload_bytes) in any::<(u64, u32, u32, u32, u32)>(),
+        ) {
+            let header = FrameHeader {
+                codec: [FrameCodec::None, FrameCodec::Jpeg, FrameCodec::Png][codec],
+                heartbeat,
+                coarse,
+                sequence: FrameSequence(sequence),
+                width,
+                height,
+                scene_revision,
+                input: InputSequence(input),
+                cell: CellId(cell),
+                viewer: ViewerId(viewer),
+                render_unix_us,
+                render_to_encode_us: a,
+                encode_us: b,
+                encode_to_send_us: c,
+                payload_bytes,
+            };
+            prop_assert_eq!(FrameHeader::decode(&header.encode()), Ok(header));
+        }
+
+        #[test]
+        fn no_bytes_make_decoding_panic(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+            let _ = FrameHeader::split(&bytes);
+        }
+    }
+}

@@ -1,0 +1,450 @@
+//! What a client says to a server.
+
+use serde::Serialize;
+use serde_json::Value;
+use thiserror::Error;
+
+use super::server::{ErrorCode, ErrorMessage};
+use crate::read_json::{ObjectReader, nearest_name};
+use crate::view::FRAMES_PER_SECOND;
+use crate::{
+    Camera, Codec, FrameSequence, FrameSize, InputSequence, JpegQuality, PROTOCOL_VERSION,
+    RendererKind, ValueError,
+};
+
+/// A message from a client, in range throughout.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "type", rename_all = "kebab-case")]
+pub enum ClientMessage {
+    /// The first message: who speaks and what it wants to be sent.
+    Hello(Hello),
+    /// Where the viewer stands and looks now.
+    Camera(CameraInput),
+    /// A change of wishes.
+    View(ViewChange),
+    /// A frame has arrived.
+    Ack(Acknowledgement),
+}
+
+/// The first message of a client.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Hello {
+    /// The version that the client speaks.
+    pub protocol: u32,
+    /// Width and height of frames; `width` and `height` on the wire.
+    #[serde(flatten)]
+    pub size: FrameSize,
+    /// The most frames a second that the client wants.
+    pub fps: f64,
+    /// How frames are compressed.
+    pub codec: Codec,
+    /// Quality of JPEG frames.
+    pub jpeg_quality: JpegQuality,
+    /// Where the viewer stands and looks.
+    pub camera: Camera,
+    /// Which renderer makes the frames.
+    pub renderer: RendererKind,
+}
+
+impl Hello {
+    /// A hello of this crate's version with the default codec, quality and renderer.
+    pub fn new(size: FrameSize, fps: f64, camera: Camera) -> Self {
+        Self {
+            protocol: PROTOCOL_VERSION,
+            size,
+            fps,
+            codec: Codec::default(),
+            jpeg_quality: JpegQuality::default(),
+            camera,
+            renderer: RendererKind::default(),
+        }
+    }
+}
+
+/// Where the viewer stands and looks now.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct CameraInput {
+    /// The client's number of this input; frames tell the last one that they show.
+    pub input: InputSequence,
+    /// The camera.
+    pub camera: Camera,
+}
+
+/// A change of wishes; what is not named stays.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct ViewChange {
+    /// New width of frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub width: Option<u32>,
+    /// New height of frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub height: Option<u32>,
+    /// New wish for frames a second.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fps: Option<f64>,
+    /// New compression.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub codec: Option<Codec>,
+    /// New quality of JPEG frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub jpeg_quality: Option<JpegQuality>,
+}
+
+impl ViewChange {
+    /// The size after this change of `size`.
+    ///
+    /// # Errors
+    /// Names the number that is out of range; a change that was read from JSON has none.
+    pub fn size_after(&self, size: FrameSize) -> Result<FrameSize, ValueError> {
+        FrameSize::new(
+            self.width.unwrap_or(size.width()),
+            self.height.unwrap_or(size.height()),
+        )
+    }
+}
+
+/// A frame has arrived. Acknowledges every earlier one too.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Acknowledgement {
+    /// The frame.
+    pub sequence: FrameSequence,
+    /// How long the client took to decode it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub decode_us: Option<u32>,
+    /// The client's clock when the frame was shown, µs since 1970.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub present_us: Option<u64>,
+}
+
+/// Why a text is no message of a client.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum MessageError {
+    /// Not JSON.
+    #[error("the message is not JSON: {0}")]
+    BadJson(String),
+    /// The `type` is missing or unknown.
+    #[error("{0}")]
+    UnknownType(ValueError),
+    /// A key is unknown or missing, or a value is not allowed.
+    #[error("{0}")]
+    BadValue(ValueError),
+    /// A hello of another version.
+    #[error("{0}")]
+    WrongProtocol(ValueError),
+}
+
+impl MessageError {
+    /// The code of the error on the wire.
+    pub fn code(&self) -> ErrorCode {
+        match self {
+            Self::BadJson(_) => ErrorCode::BadJson,
+            Self::UnknownType(_) => ErrorCode::UnknownType,
+            Self::BadValue(_) => ErrorCode::BadValue,
+            Self::WrongProtocol(_) => ErrorCode::WrongProtocol,
+        }
+    }
+
+    /// The error as it is told to the client.
+    pub fn to_message(&self) -> ErrorMessage {
+        ErrorMessage {
+            code: self.code(),
+            pointer: match self {
+                Self::BadJson(_) => None,
+                Self::UnknownType(error) | Self::BadValue(error) | Self::WrongProtocol(error) => {
+                    Some(error.pointer.clone())
+                }
+            },
+            message: self.to_string(),
+        }
+    }
+}
+
+impl From<ValueError> for MessageError {
+    fn from(error: ValueError) -> Self {
+        Self::BadValue(error)
+    }
+}
+
+const TYPES: &[&str] = &["hello", "camera", "view", "ack"];
+
+impl ClientMessage {
+    /// Reads a message from the text of a WebSocket message.
+    ///
+    /// # Errors
+    /// Names what is not allowed and where it stands.
+    pub fn from_json_text(text: &str) -> Result<Self, MessageError> {
+        let value: Value =
+            serde_json::from_str(text).map_err(|error| MessageError::BadJson(error.to_string()))?;
+        let members = ObjectReader::new(&value, "")?;
+        let Some(kind) = members.optional::<Value>("type")? else {
+            return Err(MessageError::UnknownType(ValueError::missing(
+                "/type",
+                TYPES.join(", "),
+            )));
+        };
+        match kind.as_str().unwrap_or_default() {
+            "hello" => read_hello(&members).map(Self::Hello),
+            "camera" => Ok(Self::Camera(read_camera_input(&members)?)),
+            "view" => Ok(Self::View(read_view_change(&members)?)),
+            "ack" => Ok(Self::Ack(read_acknowledgement(&members)?)),
+            unknown => {
+                let mut allowed = TYPES.join(", ");
+                if let Some(name) = nearest_name(unknown, TYPES) {
+                    allowed.push_str(&format!("; did you mean \"{name}\"?"));
+                }
+                Err(MessageError::UnknownType(ValueError::new(
+                    "/type", &kind, allowed,
+                )))
+            }
+        }
+    }
+}
+
+fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
+    // Before the rest: another version may have other keys.
+    let protocol: u32 = members.required("protocol", &PROTOCOL_VERSION.to_string())?;
+    if protocol != PROTOCOL_VERSION {
+        return Err(MessageError::WrongProtocol(ValueError::new(
+            "/protocol",
+            &Value::from(protocol),
+            PROTOCOL_VERSION.to_string(),
+        )));
+    }
+    members.only(&[
+        "type",
+        "protocol",
+        "width",
+        "height",
+        "fps",
+        "codec",
+        "jpeg_quality",
+        "camera",
+        "renderer",
+    ])?;
+    Ok(Hello {
+        protocol,
+        size: FrameSize::new(
+            members.required("width", "a whole number of pixels")?,
+            members.required("height", "a whole number of pixels")?,
+        )?,
+        fps: FRAMES_PER_SECOND.check(
+            "/fps",
+            members.required("fps", &FRAMES_PER_SECOND.to_string())?,
+        )?,
+        codec: members.required("codec", "\"jpeg\" or \"png\"")?,
+        jpeg_quality: read_jpeg_quality(members)?.unwrap_or_default(),
+        camera: members.required("camera", "a camera")?,
+        renderer: members.member_or("renderer", RendererKind::default())?,
+    })
+}
+
+fn read_jpeg_quality(members: &ObjectReader<'_>) -> Result<Option<JpegQuality>, ValueError> {
+    members
+        .optional("jpeg_quality")?
+        .map(JpegQuality::new)
+        .transpose()
+}
+
+fn read_camera_input(members: &ObjectReader<'_>) -> Result<CameraInput, ValueError> {
+    members.only(&["type", "input", "camera"])?;
+    Ok(CameraInput {
+        input: InputSequence(members.required("input", "a whole number")?),
+        camera: members.required("camera", "a camera")?,
+    })
+}
+
+fn read_view_change(members: &ObjectReader<'_>) -> Result<ViewChange, ValueError> {
+    members.only(&["type", "width", "height", "fps", "codec", "jpeg_quality"])?;
+    let change = ViewChange {
+        width: members.optional("width")?,
+        height: members.optional("height")?,
+        fps: members
+            .optional("fps")?
+            .map(|fps| FRAMES_PER_SECOND.check("/fps", fps))
+            .transpose()?,
+        codec: members.optional::<Codec>("codec")?,
+        jpeg_quality: read_jpeg_quality(members)?,
+    };
+    // Whatever the other side is, each named side must be in range.
+    change.size_after(FrameSize::new(1, 1)?)?;
+    Ok(change)
+}
+
+fn read_acknowledgement(members: &ObjectReader<'_>) -> Result<Acknowledgement, ValueError> {
+    members.only(&["type", "sequence", "decode_us", "present_us"])?;
+    Ok(Acknowledgement {
+        sequence: FrameSequence(members.required("sequence", "the number of a frame")?),
+        decode_us: members.optional("decode_us")?,
+        present_us: members.optional("present_us")?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use serde_json::json;
+
+    use super::*;
+
+    fn hello_json() -> Value {
+        json!({
+            "type": "hello", "protocol": 1, "width": 640, "height": 360, "fps": 30,
+            "codec": "jpeg",
+            "camera": {"position_m": [0, 2, 0], "yaw_deg": 0, "pitch_deg": 15, "vertical_fov_deg": 60}
+        })
+    }
+
+    fn read(value: &Value) -> Result<ClientMessage, MessageError> {
+        ClientMessage::from_json_text(&value.to_string())
+    }
+
+    fn hello_with(key: &str, value: Value) -> MessageError {
+        let mut hello = hello_json();
+        hello[key] = value;
+        read(&hello).expect_err("must be refused")
+    }
+
+    #[test]
+    fn a_hello_without_optional_keys_gets_their_defaults() {
+        let size = FrameSize::new(640, 360).expect("in range");
+        assert_eq!(
+            read(&hello_json()),
+            Ok(ClientMessage::Hello(Hello::new(
+                size,
+                30.0,
+                Camera::default()
+            )))
+        );
+    }
+
+    #[test]
+    fn each_kind_of_bad_message_has_its_code_and_pointer() {
+        let cases = [
+            ("{", ErrorCode::BadJson, None),
+            (r#"{"type":"camera","input":NaN}"#, ErrorCode::BadJson, None),
+            ("[]", ErrorCode::BadValue, Some("")),
+            ("{}", ErrorCode::UnknownType, Some("/type")),
+            (r#"{"type":"helo"}"#, ErrorCode::UnknownType, Some("/type")),
+            (r#"{"type":7}"#, ErrorCode::UnknownType, Some("/type")),
+            (
+                r#"{"type":"hello"}"#,
+                ErrorCode::BadValue,
+                Some("/protocol"),
+            ),
+            (
+                r#"{"type":"hello","protocol":9,"new":1}"#,
+                ErrorCode::WrongProtocol,
+                Some("/protocol"),
+            ),
+            (
+                r#"{"type":"camera","input":1}"#,
+                ErrorCode::BadValue,
+                Some("/camera"),
+            ),
+            (
+                r#"{"type":"camera","input":-1}"#,
+                ErrorCode::BadValue,
+                Some("/input"),
+            ),
+            (
+                r#"{"type":"view","width":0}"#,
+                ErrorCode::BadValue,
+                Some("/width"),
+            ),
+            (
+                r#"{"type":"view","height":100000}"#,
+                ErrorCode::BadValue,
+                Some("/height"),
+            ),
+            (r#"{"type":"view","fps":1e999}"#, ErrorCode::BadJson, None),
+            (
+                r#"{"type":"view","fsp":10}"#,
+                ErrorCode::BadValue,
+                Some("/fsp"),
+            ),
+            (
+                r#"{"type":"ack","sequence":4294967296}"#,
+                ErrorCode::BadValue,
+                Some("/sequence"),
+            ),
+        ];
+        for (text, code, pointer) in cases {
+            let message = ClientMessage::from_json_text(text)
+                .expect_err("must be refused")
+                .to_message();
+            assert_eq!(
+                (message.code, message.pointer.as_deref()),
+                (code, pointer),
+                "{text}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_hello_names_the_key_that_is_wrong() {
+        for (key, value, pointer) in [
+            ("width", json!(0), "/width"),
+            ("height", json!(100_000), "/height"),
+            ("fps", json!(0.5), "/fps"),
+            ("fps", json!(121), "/fps"),
+            ("codec", json!("gif"), "/codec"),
+            ("jpeg_quality", json!(101), "/jpeg_quality"),
+            ("renderer", json!("raster"), "/renderer"),
+            ("heigth", json!(360), "/heigth"),
+        ] {
+            assert_eq!(
+                hello_with(key, value).to_message().pointer.as_deref(),
+                Some(pointer)
+            );
+        }
+        let mut hello = hello_json();
+        hello["camera"]["pitch_deg"] = json!(100);
+        let error = read(&hello).expect_err("out of range");
+        assert_eq!(
+            error.to_string(),
+            "/camera/pitch_deg is 100; allowed: -90 to 90"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn every_message_survives_the_wire(
+            width in 1..=3840u32, height in 1..=2160u32, fps in 1.0..=120.0f64, quality in 1..=100u32,
+            png in any::<bool>(), screen_space in any::<bool>(), yaw_deg in -180.0..180.0f64,
+            input in any::<u64>(), sequence in any::<u32>(), decode_us in any::<Option<u32>>(),
+            present_us in any::<Option<u64>>(), some in any::<[bool; 5]>(),
+        ) {
+            let camera = Camera::new([1.0, 2.0, 3.0], yaw_deg, 5.0, 60.0).expect("in range");
+            let codec = if png { Codec::Png } else { Codec::Jpeg };
+            let jpeg_quality = JpegQuality::new(quality).expect("in range");
+            let renderer = if screen_space { RendererKind::ScreenSpace } else { RendererKind::Cached };
+            let size = FrameSize::new(width, height).expect("in range");
+            let messages = [
+                ClientMessage::Hello(Hello {
+                    codec, jpeg_quality, renderer, ..Hello::new(size, fps, camera)
+                }),
+                ClientMessage::Camera(CameraInput { input: InputSequence(input), camera }),
+                ClientMessage::View(ViewChange {
+                    width: some[0].then_some(width),
+                    height: some[1].then_some(height),
+                    fps: some[2].then_some(fps),
+                    codec: some[3].then_some(codec),
+                    jpeg_quality: some[4].then_some(jpeg_quality),
+                }),
+                ClientMessage::Ack(Acknowledgement {
+                    sequence: FrameSequence(sequence), decode_us, present_us,
+                }),
+            ];
+            for message in messages {
+                let text = serde_json::to_string(&message).expect("serialises");
+                prop_assert_eq!(ClientMessage::from_json_text(&text), Ok(message));
+            }
+        }
+
+        #[test]
+        fn no_text_makes_reading_a_message_panic(text in ".{0,100}") {
+            let _ = ClientMessage::from_json_text(&text);
+        }
+    }
+}

@@ -1,0 +1,10 @@
+//! The JSON text messages of a viewer's WebSocket, told apart by their `type`.
+//!
+//! Client to server: `hello` (first, once), `camera`, `view`, `ack`. Server to client: `welcome`,
+//! `status`, `error`, and binary frames ([`crate::frame`]).
+
+mod client;
+mod server;
+
+pub use client::{Acknowledgement, CameraInput, ClientMessage, Hello, MessageError, ViewChange};
+pub use server::{ErrorCode, ErrorMessage, ServerMessage, Status, Welcome};

@@ -1,0 +1,337 @@
+//! The scene as it stands in JSON. Every key but `version` may be left out and then has the
+//! default that is written here; what numbers are allowed stands in [`super::ranges`].
+
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::Value;
+
+use crate::ValueError;
+use crate::read_json::{ObjectReader, ReadJson, document, read_name};
+
+/// The version of the scene document that this crate reads and writes.
+pub const SCENE_VERSION: u32 = 1;
+
+document! {
+    /// Everything that defines the sky, as JSON.
+    pub struct SceneDocument {
+        /// Version of this format; must be there.
+        "version" => version: u32 = SCENE_VERSION,
+        /// The ground sphere.
+        "planet" => planet: PlanetDocument = PlanetDocument::default(),
+        /// Direction and strength of the sun.
+        "sun" => sun: SunDocument = SunDocument::default(),
+        /// The clear sky.
+        "atmosphere" => atmosphere: AtmosphereDocument = AtmosphereDocument::default(),
+        /// Shells that hold clouds, 0 to 4.
+        "layers" => layers: Vec<LayerDocument> = vec![LayerDocument::default()],
+        /// How light travels in clouds.
+        "light" => light: LightDocument = LightDocument::default(),
+        /// The wind of every layer that has none of its own.
+        "wind" => wind: WindDocument = WindDocument::default(),
+        /// Brightness of the picture in stops; +1 doubles it.
+        "exposure_ev" => exposure_ev: f64 = 0.0,
+    }
+}
+
+document! {
+    /// The ground sphere.
+    pub struct PlanetDocument {
+        /// Radius of the ground.
+        "radius_m" => radius_m: f64 = 6_360_000.0,
+        /// Share of light that the ground reflects.
+        "ground_albedo" => ground_albedo: f64 = 0.2,
+    }
+}
+
+document! {
+    /// Direction and strength of the sun.
+    pub struct SunDocument {
+        /// Clockwise from north, towards the sun.
+        "azimuth_deg" => azimuth_deg: f64 = 150.0,
+        /// Above the horizon, towards the sun.
+        "elevation_deg" => elevation_deg: f64 = 40.0,
+        /// Red (680 nm), green (550 nm) and blue (440 nm) above the atmosphere. The default is the
+        /// sun's: Bruneton 2017, precomputed_atmospheric_scattering, demo.cc `kSolarIrradiance`.
+        "irradiance_w_per_m2_nm" => irradiance_w_per_m2_nm: [f64; 3] = [1.474, 1.8504, 1.91198],
+    }
+}
+
+/// The clear sky, by `model`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "model", rename_all = "kebab-case")]
+pub enum AtmosphereDocument {
+    /// A closed formula.
+    Analytic(AnalyticAtmosphereDocument),
+}
+
+document! {
+    /// A clear sky by a closed formula.
+    pub struct AnalyticAtmosphereDocument {
+        /// Vertical optical depth of haze.
+        "aerosol_optical_depth" => aerosol_optical_depth: f64 = 0.08,
+    }
+}
+
+impl Default for AtmosphereDocument {
+    fn default() -> Self {
+        Self::Analytic(AnalyticAtmosphereDocument::default())
+    }
+}
+
+document! {
+    /// A shell of the atmosphere that holds one family of clouds.
+    pub struct LayerDocument {
+        /// What people call it; no two layers have the same name.
+        "name" => name: String = "low".to_owned(),
+        /// Where clouds begin.
+        "base_altitude_m" => base_altitude_m: f64 = 1500.0,
+        /// Where clouds end.
+        "top_altitude_m" => top_altitude_m: f64 = 4000.0,
+        /// How density comes about.
+        "density" => density: DensityDocument = DensityDocument::default(),
+        /// Extinction where density is 1.
+        "extinction_per_m" => extinction_per_m: f64 = 0.05,
+        /// Share of extinction that is scattering.
+        "single_scattering_albedo" => single_scattering_albedo: f64 = 0.9999,
+        /// The layer's own wind; null for the scene's.
+        "wind" => wind: Option<WindDocument> = None,
+    }
+}
+
+/// How a layer's density comes about, by `model`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "model", rename_all = "kebab-case")]
+pub enum DensityDocument {
+    /// Weather maps and noise.
+    Weather(WeatherDocument),
+    /// Density 1 everywhere in the layer.
+    Homogeneous,
+}
+
+impl Default for DensityDocument {
+    fn default() -> Self {
+        Self::Weather(WeatherDocument::default())
+    }
+}
+
+document! {
+    /// Density from weather maps and noise.
+    pub struct WeatherDocument {
+        /// Share of the sky that clouds cover.
+        "coverage" => coverage: f64 = 0.45,
+        /// 0 stratus to 1 cumulus.
+        "type" => cloud_type: f64 = 0.7,
+        /// Length after which the maps repeat.
+        "map_span_m" => map_span_m: f64 = 40_000.0,
+        /// Length after which the noise that shapes clouds repeats.
+        "shape_period_m" => shape_period_m: f64 = 5000.0,
+        /// Length after which the noise that frays their edges repeats.
+        "detail_period_m" => detail_period_m: f64 = 900.0,
+        /// How much the edges are frayed.
+        "detail_strength" => detail_strength: f64 = 0.35,
+        /// Another number, another sky.
+        "seed" => seed: u32 = 1,
+    }
+}
+
+document! {
+    /// How light travels in clouds.
+    pub struct LightDocument {
+        /// Where droplets scatter light to.
+        "phase" => phase: PhaseDocument = PhaseDocument::default(),
+        /// Terms of the multiple-scattering sum; 1 is single scattering (Wrenninge 2013).
+        "octaves" => octaves: u32 = 4,
+        /// Factor of the sun's optical depth from one octave to the next (Wrenninge's a).
+        "octave_attenuation" => octave_attenuation: f64 = 0.5,
+        /// Factor of the scattered light from one octave to the next (Wrenninge's b).
+        "octave_contribution" => octave_contribution: f64 = 0.5,
+        /// Factor of the phase's eccentricity from one octave to the next (Wrenninge's c).
+        "octave_eccentricity" => octave_eccentricity: f64 = 0.5,
+        /// Steps of the march towards the sun.
+        "sun_steps" => sun_steps: u32 = 6,
+        /// Length of the march towards the sun.
+        "sun_march_distance_m" => sun_march_distance_m: f64 = 1500.0,
+        /// Factor of the light from sky and ground.
+        "ambient" => ambient: f64 = 1.0,
+    }
+}
+
+/// Where droplets scatter light to, by `model`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "model", rename_all = "kebab-case")]
+pub enum PhaseDocument {
+    /// Henyey-Greenstein and Draine mixed by droplet size (Jendersie & d'Eon 2023).
+    HgDraine(HgDraineDocument),
+    /// Henyey-Greenstein.
+    Hg(HgDocument),
+    /// Draine.
+    Draine(DraineDocument),
+    /// The same in every direction.
+    Isotropic,
+}
+
+impl Default for PhaseDocument {
+    fn default() -> Self {
+        Self::HgDraine(HgDraineDocument::default())
+    }
+}
+
+document! {
+    /// Henyey-Greenstein and Draine mixed by droplet size.
+    pub struct HgDraineDocument {
+        /// Diameter of the droplets.
+        "droplet_diameter_um" => droplet_diameter_um: f64 = 20.0,
+    }
+}
+
+document! {
+    /// Henyey-Greenstein.
+    pub struct HgDocument {
+        /// Mean cosine: -1 backwards, 1 forwards.
+        "g" => g: f64 = 0.85,
+    }
+}
+
+document! {
+    /// Draine.
+    pub struct DraineDocument {
+        /// Eccentricity: -1 backwards, 1 forwards.
+        "g" => g: f64 = 0.85,
+        /// 0 is Henyey-Greenstein, 1 Cornette-Shanks.
+        "alpha" => alpha: f64 = 1.0,
+    }
+}
+
+document! {
+    /// Where the clouds drift.
+    pub struct WindDocument {
+        /// Clockwise from north, the direction that the wind blows to.
+        "towards_deg" => towards_deg: f64 = 90.0,
+        /// Speed of the clouds.
+        "speed_m_per_s" => speed_m_per_s: f64 = 5.0,
+    }
+}
+
+impl SceneDocument {
+    /// Reads a document; keys that are missing get their defaults.
+    ///
+    /// # Errors
+    /// Names an unknown key, a value of a wrong type, or a version that is missing or unknown.
+    pub fn from_json(value: &Value) -> Result<Self, ValueError> {
+        let version: u32 =
+            ObjectReader::new(value, "")?.required("version", &SCENE_VERSION.to_string())?;
+        if version != SCENE_VERSION {
+            return Err(ValueError::new(
+                "/version",
+                &Value::from(version),
+                SCENE_VERSION.to_string(),
+            ));
+        }
+        Self::read_json(value, "")
+    }
+}
+
+impl<'de> Deserialize<'de> for SceneDocument {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Self::from_json(&Value::deserialize(deserializer)?).map_err(serde::de::Error::custom)
+    }
+}
+
+/// The `model` of a tagged document, or the default one.
+fn read_model<T: Copy>(
+    members: &ObjectReader<'_>,
+    default: T,
+    names: &[(&str, T)],
+) -> Result<T, ValueError> {
+    match members.optional::<Value>("model")? {
+        Some(value) => read_name(&value, &members.pointer_of("model"), names),
+        None => Ok(default),
+    }
+}
+
+/// Refuses keys that are not `model` or one of the model's own. A merge patch that changes the
+/// model has to set the old model's keys to null, which the error tells.
+fn only_model_keys(
+    members: &ObjectReader<'_>,
+    model: &str,
+    keys: &[&str],
+) -> Result<(), ValueError> {
+    let mut known = vec!["model"];
+    known.extend_from_slice(keys);
+    members.only(&known).map_err(|mut error| {
+        error.allowed = format!(
+            "{} for model \"{model}\" (in a patch, null removes a key of another model)",
+            error.allowed
+        );
+        error
+    })
+}
+
+impl ReadJson for Value {
+    fn read_json(value: &Value, _pointer: &str) -> Result<Self, ValueError> {
+        Ok(value.clone())
+    }
+}
+
+impl ReadJson for AtmosphereDocument {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        let members = ObjectReader::new(value, pointer)?;
+        read_model(&members, (), &[("analytic", ())])?;
+        only_model_keys(&members, "analytic", AnalyticAtmosphereDocument::KEYS)?;
+        AnalyticAtmosphereDocument::read_members(&members).map(Self::Analytic)
+    }
+}
+
+impl ReadJson for DensityDocument {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        let members = ObjectReader::new(value, pointer)?;
+        let is_weather = read_model(&members, true, &[("weather", true), ("homogeneous", false)])?;
+        if is_weather {
+            only_model_keys(&members, "weather", WeatherDocument::KEYS)?;
+            WeatherDocument::read_members(&members).map(Self::Weather)
+        } else {
+            only_model_keys(&members, "homogeneous", &[])?;
+            Ok(Self::Homogeneous)
+        }
+    }
+}
+
+impl ReadJson for PhaseDocument {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        #[derive(Clone, Copy)]
+        enum Model {
+            HgDraine,
+            Hg,
+            Draine,
+            Isotropic,
+        }
+        let members = ObjectReader::new(value, pointer)?;
+        let model = read_model(
+            &members,
+            Model::HgDraine,
+            &[
+                ("hg-draine", Model::HgDraine),
+                ("hg", Model::Hg),
+                ("draine", Model::Draine),
+                ("isotropic", Model::Isotropic),
+            ],
+        )?;
+        match model {
+            Model::HgDraine => {
+                only_model_keys(&members, "hg-draine", HgDraineDocument::KEYS)?;
+                HgDraineDocument::read_members(&members).map(Self::HgDraine)
+            }
+            Model::Hg => {
+                only_model_keys(&members, "hg", HgDocument::KEYS)?;
+                HgDocument::read_members(&members).map(Self::Hg)
+            }
+            Model::Draine => {
+                only_model_keys(&members, "draine", DraineDocument::KEYS)?;
+                DraineDocument::read_members(&members).map(Self::Draine)
+            }
+            Model::Isotropic => {
+                only_model_keys(&members, "isotropic", &[])?;
+                Ok(Self::Isotropic)
+            }
+        }
+    }
+}

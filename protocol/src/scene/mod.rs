@@ -1,0 +1,165 @@
+//! Everything that defines the sky: the wire document and the domain types it becomes.
+
+mod document;
+mod layer;
+mod light;
+pub mod ranges;
+mod sky;
+#[cfg(test)]
+mod tests;
+
+use serde_json::Value;
+
+pub use document::{
+    AnalyticAtmosphereDocument, AtmosphereDocument, DensityDocument, DraineDocument, HgDocument,
+    HgDraineDocument, LayerDocument, LightDocument, PhaseDocument, PlanetDocument, SCENE_VERSION,
+    SceneDocument, SunDocument, WeatherDocument, WindDocument,
+};
+pub use layer::{CloudLayer, DensityModel, WeatherDensity};
+pub use light::{Light, PhaseFunction};
+pub use sky::{AnalyticAtmosphere, Atmosphere, Planet, Sun, Wind};
+
+use crate::ValueError;
+use ranges::{EXPOSURE_EV, LAYERS_MAX};
+
+/// Why a document is no scene: pointer, value and what is allowed.
+pub type SceneError = ValueError;
+
+/// A sky that cannot be wrong: every number is in the range that [`ranges`] tells.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    planet: Planet,
+    sun: Sun,
+    atmosphere: Atmosphere,
+    layers: Vec<CloudLayer>,
+    light: Light,
+    wind: Wind,
+    exposure_ev: f64,
+}
+
+impl Scene {
+    /// Reads a scene from a full document; keys that are missing get their defaults.
+    ///
+    /// # Errors
+    /// Names an unknown key or the first value that is not allowed.
+    pub fn from_json(value: &Value) -> Result<Self, SceneError> {
+        Self::try_from(SceneDocument::from_json(value)?)
+    }
+
+    /// The scene as a document with every key.
+    pub fn to_document(&self) -> SceneDocument {
+        SceneDocument {
+            version: SCENE_VERSION,
+            planet: (&self.planet).into(),
+            sun: (&self.sun).into(),
+            atmosphere: (&self.atmosphere).into(),
+            layers: self.layers.iter().map(Into::into).collect(),
+            light: (&self.light).into(),
+            wind: (&self.wind).into(),
+            exposure_ev: self.exposure_ev,
+        }
+    }
+
+    /// The ground sphere.
+    pub fn planet(&self) -> &Planet {
+        &self.planet
+    }
+
+    /// Direction and strength of the sun.
+    pub fn sun(&self) -> &Sun {
+        &self.sun
+    }
+
+    /// The clear sky.
+    pub fn atmosphere(&self) -> &Atmosphere {
+        &self.atmosphere
+    }
+
+    /// Shells that hold clouds, at most [`LAYERS_MAX`].
+    pub fn layers(&self) -> &[CloudLayer] {
+        &self.layers
+    }
+
+    /// How light travels in clouds.
+    pub fn light(&self) -> &Light {
+        &self.light
+    }
+
+    /// The wind of every layer that has none of its own.
+    pub fn wind(&self) -> &Wind {
+        &self.wind
+    }
+
+    /// The wind that moves layer `index`: its own or the scene's. The scene's, too, for a layer
+    /// that does not exist.
+    pub fn layer_wind(&self, index: usize) -> Wind {
+        self.layers
+            .get(index)
+            .and_then(CloudLayer::own_wind)
+            .unwrap_or(self.wind)
+    }
+
+    /// Brightness of the picture in stops.
+    pub fn exposure_ev(&self) -> f64 {
+        self.exposure_ev
+    }
+}
+
+impl TryFrom<SceneDocument> for Scene {
+    type Error = SceneError;
+
+    fn try_from(document: SceneDocument) -> Result<Self, SceneError> {
+        if document.version != SCENE_VERSION {
+            return Err(ValueError::new(
+                "/version",
+                &Value::from(document.version),
+                SCENE_VERSION.to_string(),
+            ));
+        }
+        Ok(Self {
+            planet: Planet::try_from(document.planet).map_err(|e| e.under("/planet"))?,
+            sun: Sun::try_from(document.sun).map_err(|e| e.under("/sun"))?,
+            atmosphere: Atmosphere::try_from(document.atmosphere)
+                .map_err(|e| e.under("/atmosphere"))?,
+            layers: layers_from(document.layers).map_err(|e| e.under("/layers"))?,
+            light: Light::try_from(document.light).map_err(|e| e.under("/light"))?,
+            wind: Wind::try_from(document.wind).map_err(|e| e.under("/wind"))?,
+            exposure_ev: EXPOSURE_EV.check("/exposure_ev", document.exposure_ev)?,
+        })
+    }
+}
+
+fn layers_from(documents: Vec<LayerDocument>) -> Result<Vec<CloudLayer>, SceneError> {
+    if documents.len() > LAYERS_MAX {
+        return Err(ValueError::new(
+            "",
+            &Value::from(format!("{} layers", documents.len())),
+            format!("0 to {LAYERS_MAX} layers"),
+        ));
+    }
+    let mut layers: Vec<CloudLayer> = Vec::with_capacity(documents.len());
+    for (index, document) in documents.into_iter().enumerate() {
+        let layer =
+            CloudLayer::try_from(document).map_err(|error| error.under(&format!("/{index}")))?;
+        if layers.iter().any(|other| other.name() == layer.name()) {
+            return Err(ValueError::new(
+                format!("/{index}/name"),
+                &Value::from(layer.name()),
+                "a name that no other layer has",
+            ));
+        }
+        layers.push(layer);
+    }
+    Ok(layers)
+}
+
+impl Default for Scene {
+    fn default() -> Self {
+        let document = SceneDocument::default();
+        match Self::try_from(document) {
+            Ok(scene) => scene,
+            // The defaults are constants; `the_default_document_is_a_scene` holds them in range.
+            Err(error) => unreachable!("the default scene is wrong: {error}"),
+        }
+    }
+}

@@ -1,0 +1,58 @@
+//! Which numbers a scene may hold. The domain types check them; tests of extremes walk them.
+
+use crate::number_range::NumberRange;
+
+/// `/planet/radius_m`
+pub const PLANET_RADIUS_M: NumberRange = NumberRange::new(1.0e4, 1.0e8);
+/// `/planet/ground_albedo`
+pub const GROUND_ALBEDO: NumberRange = NumberRange::new(0.0, 1.0);
+/// `/sun/azimuth_deg` and the `towards_deg` of winds
+pub const AZIMUTH_DEG: NumberRange = NumberRange::new(-360.0, 360.0);
+/// `/sun/elevation_deg`
+pub const ELEVATION_DEG: NumberRange = NumberRange::new(-90.0, 90.0);
+/// each of `/sun/irradiance_w_per_m2_nm`
+pub const IRRADIANCE_W_PER_M2_NM: NumberRange = NumberRange::new(0.0, 1.0e4);
+/// `/atmosphere/aerosol_optical_depth`
+pub const AEROSOL_OPTICAL_DEPTH: NumberRange = NumberRange::new(0.0, 5.0);
+/// How many layers a scene may have.
+pub const LAYERS_MAX: usize = 4;
+/// How many characters a layer's name may have; at least one.
+pub const LAYER_NAME_MAX_CHARS: usize = 32;
+/// `base_altitude_m` and `top_altitude_m`; the top is not below the base either
+pub const LAYER_ALTITUDE_M: NumberRange = NumberRange::new(0.0, 2.0e5);
+/// `coverage`
+pub const COVERAGE: NumberRange = NumberRange::new(0.0, 1.0);
+/// `type`
+pub const CLOUD_TYPE: NumberRange = NumberRange::new(0.0, 1.0);
+/// `map_span_m`
+pub const MAP_SPAN_M: NumberRange = NumberRange::new(1.0e3, 1.0e6);
+/// `shape_period_m`
+pub const SHAPE_PERIOD_M: NumberRange = NumberRange::new(100.0, 1.0e5);
+/// `detail_period_m`
+pub const DETAIL_PERIOD_M: NumberRange = NumberRange::new(10.0, 1.0e4);
+/// `detail_strength`
+pub const DETAIL_STRENGTH: NumberRange = NumberRange::new(0.0, 1.0);
+/// `extinction_per_m`
+pub const EXTINCTION_PER_M: NumberRange = NumberRange::new(0.0, 1.0e3);
+/// `single_scattering_albedo`
+pub const SINGLE_SCATTERING_ALBEDO: NumberRange = NumberRange::new(0.0, 1.0);
+/// `droplet_diameter_um`: where the fit of Jendersie & d'Eon 2023 holds
+pub const DROPLET_DIAMETER_UM: NumberRange = NumberRange::new(5.0, 50.0);
+/// `g`
+pub const PHASE_G: NumberRange = NumberRange::new(-0.999, 0.999);
+/// `alpha`
+pub const DRAINE_ALPHA: NumberRange = NumberRange::new(0.0, 1.0e4);
+/// `octaves`
+pub const OCTAVES: NumberRange = NumberRange::new(1.0, 16.0);
+/// `octave_attenuation`, `octave_contribution` and `octave_eccentricity`
+pub const OCTAVE_FACTOR: NumberRange = NumberRange::new(0.0, 1.0);
+/// `sun_steps`
+pub const SUN_STEPS: NumberRange = NumberRange::new(1.0, 64.0);
+/// `sun_march_distance_m`
+pub const SUN_MARCH_DISTANCE_M: NumberRange = NumberRange::new(1.0, 1.0e5);
+/// `ambient`
+pub const AMBIENT: NumberRange = NumberRange::new(0.0, 10.0);
+/// `speed_m_per_s`
+pub const WIND_SPEED_M_PER_S: NumberRange = NumberRange::new(0.0, 200.0);
+/// `/exposure_ev`
+pub const EXPOSURE_EV: NumberRange = NumberRange::new(-30.0, 30.0);

@@ -1,0 +1,309 @@
+use proptest::prelude::*;
+use serde_json::json;
+
+use super::*;
+
+fn error_of(value: Value) -> SceneError {
+    Scene::from_json(&value).expect_err("must be refused")
+}
+
+#[test]
+fn the_default_document_is_a_scene() {
+    let scene = Scene::try_from(SceneDocument::default()).expect("defaults are in range");
+    assert_eq!(scene, Scene::default());
+    assert_eq!(Scene::from_json(&json!({"version": 1})), Ok(scene));
+}
+
+#[test]
+fn the_default_document_is_pinned() {
+    let expected = json!({
+        "version": 1,
+        "planet": {"radius_m": 6360000.0, "ground_albedo": 0.2},
+        "sun": {
+            "azimuth_deg": 150.0, "elevation_deg": 40.0,
+            "irradiance_w_per_m2_nm": [1.474, 1.8504, 1.91198]
+        },
+        "atmosphere": {"model": "analytic", "aerosol_optical_depth": 0.08},
+        "layers": [{
+            "name": "low", "base_altitude_m": 1500.0, "top_altitude_m": 4000.0,
+            "density": {
+                "model": "weather", "coverage": 0.45, "type": 0.7, "map_span_m": 40000.0,
+                "shape_period_m": 5000.0, "detail_period_m": 900.0, "detail_strength": 0.35,
+                "seed": 1
+            },
+            "extinction_per_m": 0.05, "single_scattering_albedo": 0.9999, "wind": null
+        }],
+        "light": {
+            "phase": {"model": "hg-draine", "droplet_diameter_um": 20.0},
+            "octaves": 4, "octave_attenuation": 0.5, "octave_contribution": 0.5,
+            "octave_eccentricity": 0.5, "sun_steps": 6, "sun_march_distance_m": 1500.0,
+            "ambient": 1.0
+        },
+        "wind": {"towards_deg": 90.0, "speed_m_per_s": 5.0},
+        "exposure_ev": 0.0
+    });
+    assert_eq!(
+        serde_json::to_value(SceneDocument::default()).expect("serialises"),
+        expected
+    );
+}
+
+#[test]
+fn a_bad_value_is_named_by_pointer_value_and_range() {
+    let error = error_of(json!({
+        "version": 1,
+        "layers": [{"density": {"model": "weather", "coverage": 1.5}}]
+    }));
+    assert_eq!(
+        error.to_string(),
+        "/layers/0/density/coverage is 1.5; allowed: 0 to 1"
+    );
+}
+
+#[test]
+fn each_kind_of_bad_document_is_refused_where_it_is_wrong() {
+    let five_layers: Vec<Value> = (0..5).map(|i| json!({"name": i.to_string()})).collect();
+    for (document, pointer) in [
+        (json!([]), ""),
+        (json!({}), "/version"),
+        (json!({"version": 2}), "/version"),
+        (
+            json!({"version": 1, "sun": {"elevation_deg": 91}}),
+            "/sun/elevation_deg",
+        ),
+        (
+            json!({"version": 1, "sun": {"elevation_deg": "high"}}),
+            "/sun/elevation_deg",
+        ),
+        (
+            json!({"version": 1, "sun": {"irradiance_w_per_m2_nm": [1, -1, 1]}}),
+            "/sun/irradiance_w_per_m2_nm/1",
+        ),
+        (
+            json!({"version": 1, "planet": {"radius_m": 0}}),
+            "/planet/radius_m",
+        ),
+        (json!({"version": 1, "planet": 5}), "/planet"),
+        (
+            json!({"version": 1, "atmosphere": {"model": "tables"}}),
+            "/atmosphere/model",
+        ),
+        (json!({"version": 1, "layers": five_layers}), "/layers"),
+        (json!({"version": 1, "layers": [{}, {}]}), "/layers/1/name"),
+        (
+            json!({"version": 1, "layers": [{"name": ""}]}),
+            "/layers/0/name",
+        ),
+        (
+            json!({"version": 1, "layers": [{"name": "x".repeat(33)}]}),
+            "/layers/0/name",
+        ),
+        (
+            json!({"version": 1, "layers": [{"base_altitude_m": 5000}]}),
+            "/layers/0/top_altitude_m",
+        ),
+        (
+            json!({"version": 1, "layers": [{"density": {"model": "grid"}}]}),
+            "/layers/0/density/model",
+        ),
+        (
+            json!({"version": 1, "layers": [{"density": {"model": "homogeneous", "coverage": 1}}]}),
+            "/layers/0/density/coverage",
+        ),
+        (
+            json!({"version": 1, "layers": [{"density": {"seed": 1.5}}]}),
+            "/layers/0/density/seed",
+        ),
+        (
+            json!({"version": 1, "layers": [{"wind": {"speed_m_per_s": 201}}]}),
+            "/layers/0/wind/speed_m_per_s",
+        ),
+        (
+            json!({"version": 1, "light": {"phase": {"model": "hg", "g": 1}}}),
+            "/light/phase/g",
+        ),
+        (
+            json!({"version": 1, "light": {"octaves": 0}}),
+            "/light/octaves",
+        ),
+        (
+            json!({"version": 1, "light": {"octaves": -1}}),
+            "/light/octaves",
+        ),
+        (json!({"version": 1, "wind": null}), "/wind"),
+        (json!({"version": 1, "exposure_ev": 31}), "/exposure_ev"),
+    ] {
+        assert_eq!(error_of(document.clone()).pointer, pointer, "{document}");
+    }
+}
+
+#[test]
+fn an_unknown_key_is_answered_with_the_nearest_known_one() {
+    let error = error_of(json!({
+        "version": 1,
+        "layers": [{"density": {"model": "weather", "covrage": 0.5}}]
+    }));
+    assert_eq!(error.pointer, "/layers/0/density/covrage");
+    assert!(
+        error.allowed.contains("did you mean \"coverage\"?"),
+        "{error}"
+    );
+    let error = error_of(json!({"version": 1, "cheese": {"much": true}}));
+    assert_eq!(error.pointer, "/cheese");
+    assert!(
+        error.allowed.contains("known keys: version, planet"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_layer_without_wind_of_its_own_drifts_with_the_scenes() {
+    let scene = Scene::from_json(&json!({
+        "version": 1,
+        "layers": [{"name": "a"}, {"name": "b", "wind": {"towards_deg": 180, "speed_m_per_s": 9}}],
+        "wind": {"towards_deg": 0, "speed_m_per_s": 2}
+    }))
+    .expect("a good scene");
+    assert_eq!(scene.layer_wind(0), *scene.wind());
+    assert_eq!(scene.layer_wind(1).speed_m_per_s(), 9.0);
+    // Towards 180 degrees is south, and south is +z.
+    assert!((scene.layer_wind(1).velocity_m_per_s().z - 9.0).abs() < 1e-12);
+}
+
+#[test]
+fn a_domain_type_refuses_what_json_cannot_even_write() {
+    for number in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let document = SceneDocument {
+            exposure_ev: number,
+            ..SceneDocument::default()
+        };
+        assert_eq!(
+            Scene::try_from(document).map_err(|e| e.pointer),
+            Err("/exposure_ev".to_owned())
+        );
+    }
+}
+
+fn in_range(range: crate::number_range::NumberRange) -> impl Strategy<Value = f64> {
+    prop_oneof![Just(range.min), Just(range.max), range.min..=range.max]
+}
+
+fn wind() -> impl Strategy<Value = WindDocument> {
+    (
+        in_range(ranges::AZIMUTH_DEG),
+        in_range(ranges::WIND_SPEED_M_PER_S),
+    )
+        .prop_map(|(towards_deg, speed_m_per_s)| WindDocument {
+            towards_deg,
+            speed_m_per_s,
+        })
+}
+
+fn density() -> impl Strategy<Value = DensityDocument> {
+    let weather = (
+        in_range(ranges::COVERAGE),
+        in_range(ranges::CLOUD_TYPE),
+        in_range(ranges::MAP_SPAN_M),
+        in_range(ranges::SHAPE_PERIOD_M),
+        in_range(ranges::DETAIL_PERIOD_M),
+        in_range(ranges::DETAIL_STRENGTH),
+        any::<u32>(),
+    )
+        .prop_map(
+            |(
+                coverage,
+                cloud_type,
+                map_span_m,
+                shape_period_m,
+                detail_period_m,
+                detail_strength,
+                seed,
+            )| {
+                DensityDocument::Weather(WeatherDocument {
+                    coverage,
+                    cloud_type,
+                    map_span_m,
+                    shape_period_m,
+                    detail_period_m,
+                    detail_strength,
+                    seed,
+                })
+            },
+        );
+    prop_oneof![weather, Just(DensityDocument::Homogeneous)]
+}
+
+fn layers() -> impl Strategy<Value = Vec<LayerDocument>> {
+    let layer = (
+        in_range(ranges::LAYER_ALTITUDE_M),
+        in_range(ranges::LAYER_ALTITUDE_M),
+        density(),
+        in_range(ranges::EXTINCTION_PER_M),
+        in_range(ranges::SINGLE_SCATTERING_ALBEDO),
+        proptest::option::of(wind()),
+    )
+        .prop_map(
+            |(a_m, b_m, density, extinction_per_m, single_scattering_albedo, wind)| LayerDocument {
+                name: String::new(),
+                base_altitude_m: a_m.min(b_m),
+                top_altitude_m: a_m.max(b_m),
+                density,
+                extinction_per_m,
+                single_scattering_albedo,
+                wind,
+            },
+        );
+    proptest::collection::vec(layer, 0..=ranges::LAYERS_MAX).prop_map(|mut layers| {
+        for (index, layer) in layers.iter_mut().enumerate() {
+            layer.name = format!("layer {index}");
+        }
+        layers
+    })
+}
+
+fn phase() -> impl Strategy<Value = PhaseDocument> {
+    prop_oneof![
+        in_range(ranges::DROPLET_DIAMETER_UM).prop_map(|droplet_diameter_um| {
+            PhaseDocument::HgDraine(HgDraineDocument {
+                droplet_diameter_um,
+            })
+        }),
+        in_range(ranges::PHASE_G).prop_map(|g| PhaseDocument::Hg(HgDocument { g })),
+        (in_range(ranges::PHASE_G), in_range(ranges::DRAINE_ALPHA))
+            .prop_map(|(g, alpha)| PhaseDocument::Draine(DraineDocument { g, alpha })),
+        Just(PhaseDocument::Isotropic),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn a_scene_survives_document_and_json(
+        layers in layers(), phase in phase(), wind in wind(),
+        exposure_ev in in_range(ranges::EXPOSURE_EV), octaves in 1..=16u32,
+    ) {
+        let document = SceneDocument {
+            layers,
+            wind,
+            exposure_ev,
+            light: LightDocument { phase, octaves, ..LightDocument::default() },
+            ..SceneDocument::default()
+        };
+        let scene = Scene::try_from(document.clone()).expect("every number is in range");
+        prop_assert_eq!(&scene.to_document(), &document);
+        let text = serde_json::to_string(&document).expect("serialises");
+        let read: Value = serde_json::from_str(&text).expect("is JSON");
+        prop_assert_eq!(Scene::from_json(&read), Ok(scene));
+    }
+
+    #[test]
+    fn no_json_makes_reading_a_scene_panic(
+        key in prop_oneof![Just("sun".to_owned()), Just("layers".to_owned()), Just("light".to_owned()), ".{0,8}"],
+        text in prop_oneof!["[\\[\\]{}0-9\",:a-z]{0,12}", Just("[{\"density\":[]}]".to_owned())],
+    ) {
+        let inner: Value = serde_json::from_str(&text).unwrap_or(Value::String(text));
+        let mut document = serde_json::Map::new();
+        document.insert("version".to_owned(), Value::from(1));
+        document.insert(key, inner);
+        let _ = Scene::from_json(&Value::Object(document));
+    }
+}
