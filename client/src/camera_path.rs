@@ -73,7 +73,9 @@ impl CameraPath {
             .iter()
             .take(CAMERA_KEYS_MAX + 1)
             .enumerate()
-            .map(|(index, entry)| read_key(entry).map_err(|error| error.under(&format!("/{index}"))))
+            .map(|(index, entry)| {
+                read_key(entry).map_err(|error| error.under(&format!("/{index}")))
+            })
             .collect::<Result<_, _>>()?;
         Self::new(keys)
     }
@@ -205,8 +207,15 @@ mod tests {
 
     #[test]
     fn keys_are_met_exactly_and_the_ends_stand_still() {
-        let path = CameraPath::new(vec![key(0.0, 0.0), key(1.0, 7.0), key(4.0, -3.0)]).expect("a path");
-        for (time_s, yaw_deg) in [(-1.0, 0.0), (0.0, 0.0), (1.0, 7.0), (4.0, -3.0), (99.0, -3.0)] {
+        let path =
+            CameraPath::new(vec![key(0.0, 0.0), key(1.0, 7.0), key(4.0, -3.0)]).expect("a path");
+        for (time_s, yaw_deg) in [
+            (-1.0, 0.0),
+            (0.0, 0.0),
+            (1.0, 7.0),
+            (4.0, -3.0),
+            (99.0, -3.0),
+        ] {
             assert_eq!(path.at(time_s).yaw_deg(), yaw_deg, "at {time_s} s");
         }
         assert_eq!(path.at(f64::NAN).yaw_deg(), 0.0);
@@ -215,7 +224,10 @@ mod tests {
     #[test]
     fn one_key_is_a_camera_that_stands_still() {
         let path = CameraPath::new(vec![key(5.0, 42.0)]).expect("a path");
-        assert_eq!((path.at(0.0), path.at(9.0)), (camera(0.0, 42.0), camera(0.0, 42.0)));
+        assert_eq!(
+            (path.at(0.0), path.at(9.0)),
+            (camera(0.0, 42.0), camera(0.0, 42.0))
+        );
     }
 
     #[test]
@@ -227,7 +239,8 @@ mod tests {
 
     #[test]
     fn bad_paths_are_refused_by_the_place_of_the_mistake() {
-        let good = json!({"position_m": [0, 2, 0], "yaw_deg": 0, "pitch_deg": 12, "vertical_fov_deg": 60});
+        let good =
+            json!({"position_m": [0, 2, 0], "yaw_deg": 0, "pitch_deg": 12, "vertical_fov_deg": 60});
         let mut steep = good.clone();
         steep["pitch_deg"] = json!(91);
         for (document, pointer) in [
@@ -238,9 +251,18 @@ mod tests {
             (json!([{"time_s": 0}]), "/0/camera"),
             (json!([{"time_s": -1, "camera": good}]), "/0/time_s"),
             (json!([{"time_s": 1e9, "camera": good}]), "/0/time_s"),
-            (json!([{"time_s": 0, "camera": good}, {"time_s": 0, "camera": good}]), "/1/time_s"),
-            (json!([{"time_s": 0, "camera": steep}]), "/0/camera/pitch_deg"),
-            (json!([{"time_s": 0, "camera": good, "speed": 1}]), "/0/speed"),
+            (
+                json!([{"time_s": 0, "camera": good}, {"time_s": 0, "camera": good}]),
+                "/1/time_s",
+            ),
+            (
+                json!([{"time_s": 0, "camera": steep}]),
+                "/0/camera/pitch_deg",
+            ),
+            (
+                json!([{"time_s": 0, "camera": good, "speed": 1}]),
+                "/0/speed",
+            ),
         ] {
             let error = CameraPath::from_json(&document).expect_err("not allowed");
             assert_eq!(error.pointer, pointer, "{document}");
@@ -253,6 +275,9 @@ mod tests {
             {"time_s": 0, "camera": {"position_m": [0, 2, 0], "yaw_deg": 0, "pitch_deg": 12, "vertical_fov_deg": 60}},
             {"time_s": 8, "camera": {"position_m": [500, 80, 0], "yaw_deg": 360, "pitch_deg": 20, "vertical_fov_deg": 40}}
         ]);
-        assert_eq!(CameraPath::from_json(&document).map(|path| path.duration_s()), Ok(8.0));
+        assert_eq!(
+            CameraPath::from_json(&document).map(|path| path.duration_s()),
+            Ok(8.0)
+        );
     }
 }

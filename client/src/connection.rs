@@ -126,7 +126,10 @@ impl Frame {
     /// From submitting the composite to its arrival, by the clocks of the two machines. 0 if
     /// theirs is ahead.
     pub fn age(&self) -> Duration {
-        Duration::from_micros(self.received_unix_us.saturating_sub(self.header.render_unix_us))
+        Duration::from_micros(
+            self.received_unix_us
+                .saturating_sub(self.header.render_unix_us),
+        )
     }
 }
 
@@ -186,7 +189,8 @@ impl Connection {
     pub async fn send_camera(&mut self, camera: Camera) -> Result<InputSequence, ConnectionError> {
         self.last_input.0 += 1;
         let input = self.last_input;
-        self.wire.send(&ClientMessage::Camera(CameraInput { input, camera }))
+        self.wire
+            .send(&ClientMessage::Camera(CameraInput { input, camera }))
             .await?;
         Ok(input)
     }

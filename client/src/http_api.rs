@@ -186,7 +186,9 @@ impl HttpApi {
     /// If the server is not there or its answer lacks a counter.
     pub async fn stats(&self) -> Result<ServerStats, HttpApiError> {
         let url = self.address.http_url("api/v1/stats");
-        let (_, body) = self.answer(self.client.get(url.clone()), Method::GET, &url).await?;
+        let (_, body) = self
+            .answer(self.client.get(url.clone()), Method::GET, &url)
+            .await?;
         serde_json::from_slice(&body).map_err(|error| HttpApiError::BadAnswer {
             url: url.to_string(),
             reason: format!("not the counters of a server that this client knows: {error}"),

@@ -7,7 +7,7 @@
 pub mod camera_path;
 pub mod connection;
 pub mod http_api;
-// pub mod load;
+pub mod load;
 pub mod picture;
 pub mod record;
 pub mod server_address;

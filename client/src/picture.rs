@@ -93,18 +93,32 @@ mod tests {
     #[test]
     fn a_png_is_kept_as_it_came_and_a_jpeg_becomes_one() {
         let png = file(ImageFormat::Png);
-        assert_eq!(to_png(&header(FrameCodec::Png, 32, 16), &png).expect("a picture"), png);
-        let from_jpeg = to_png(&header(FrameCodec::Jpeg, 32, 16), &file(ImageFormat::Jpeg)).expect("a picture");
-        let picture = image::load_from_memory_with_format(&from_jpeg, ImageFormat::Png).expect("a PNG");
+        assert_eq!(
+            to_png(&header(FrameCodec::Png, 32, 16), &png).expect("a picture"),
+            png
+        );
+        let from_jpeg =
+            to_png(&header(FrameCodec::Jpeg, 32, 16), &file(ImageFormat::Jpeg)).expect("a picture");
+        let picture =
+            image::load_from_memory_with_format(&from_jpeg, ImageFormat::Png).expect("a PNG");
         assert!((i32::from(picture.to_rgb8().get_pixel(3, 3)[2]) - 200).abs() < 4);
     }
 
     #[test]
     fn what_is_not_the_announced_picture_is_refused() {
         let png = file(ImageFormat::Png);
-        assert!(matches!(to_png(&header(FrameCodec::Jpeg, 32, 16), &png), Err(PictureError::Unreadable(_))));
-        assert!(matches!(to_png(&header(FrameCodec::Png, 16, 32), &png), Err(PictureError::WrongSize(32, 16, 16, 32))));
-        assert!(matches!(to_png(&header(FrameCodec::None, 0, 0), &[]), Err(PictureError::NoPicture)));
+        assert!(matches!(
+            to_png(&header(FrameCodec::Jpeg, 32, 16), &png),
+            Err(PictureError::Unreadable(_))
+        ));
+        assert!(matches!(
+            to_png(&header(FrameCodec::Png, 16, 32), &png),
+            Err(PictureError::WrongSize(32, 16, 16, 32))
+        ));
+        assert!(matches!(
+            to_png(&header(FrameCodec::None, 0, 0), &[]),
+            Err(PictureError::NoPicture)
+        ));
         assert!(to_png(&header(FrameCodec::Png, 32, 16), &png[..png.len() / 2]).is_err());
     }
 }

@@ -187,10 +187,11 @@ pub async fn record(
             .show(&mut connection, options.path.at(time_s), number, options)
             .await?;
         let file = format!("frame-{number:05}.png");
-        let png = to_png(&frame.header, frame.payload()).map_err(|source| RecordError::Picture {
-            frame: number,
-            source,
-        })?;
+        let png =
+            to_png(&frame.header, frame.payload()).map_err(|source| RecordError::Picture {
+                frame: number,
+                source,
+            })?;
         write_file(&options.directory.join(&file), &png).await?;
         index.frames.push(RecordedFrame {
             file,
@@ -234,12 +235,19 @@ impl Stage {
         let sharp_until = begun + options.sharp_wait;
         let any_until = begun + options.frame_timeout.max(options.sharp_wait);
         loop {
-            let shown = self.newest.as_ref().filter(|frame| frame.header.input >= self.input);
+            let shown = self
+                .newest
+                .as_ref()
+                .filter(|frame| frame.header.input >= self.input);
             let sharp = shown.is_some_and(|frame| !frame.header.coarse);
             if let (Some(frame), true) = (shown, sharp || Instant::now() >= sharp_until) {
                 return Ok(frame.clone());
             }
-            let deadline = if shown.is_some() { sharp_until } else { any_until };
+            let deadline = if shown.is_some() {
+                sharp_until
+            } else {
+                any_until
+            };
             match timeout_at(deadline, connection.next_event()).await {
                 Ok(Ok(Event::Frame(frame))) => {
                     connection.acknowledge(acknowledgement(&frame)).await?;

@@ -140,8 +140,14 @@ mod tests {
 
     #[test]
     fn ipv6_and_default_ports_work() {
-        assert_eq!(address("ws://[::1]:8080").websocket_url(), "ws://[::1]:8080/ws");
-        assert_eq!(address("ws://sky.example:80/ws").websocket_url(), "ws://sky.example/ws");
+        assert_eq!(
+            address("ws://[::1]:8080").websocket_url(),
+            "ws://[::1]:8080/ws"
+        );
+        assert_eq!(
+            address("ws://sky.example:80/ws").websocket_url(),
+            "ws://sky.example/ws"
+        );
     }
 
     #[test]

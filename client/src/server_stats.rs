@@ -61,9 +61,13 @@ impl Totals {
         Self {
             // A server that was started anew counts from zero.
             texels_updated: self.texels_updated.saturating_sub(before.texels_updated),
-            frames_composited: self.frames_composited.saturating_sub(before.frames_composited),
+            frames_composited: self
+                .frames_composited
+                .saturating_sub(before.frames_composited),
             gpu_cache_ns: self.gpu_cache_ns.saturating_sub(before.gpu_cache_ns),
-            gpu_composite_ns: self.gpu_composite_ns.saturating_sub(before.gpu_composite_ns),
+            gpu_composite_ns: self
+                .gpu_composite_ns
+                .saturating_sub(before.gpu_composite_ns),
             gpu_screen_space_ns: self
                 .gpu_screen_space_ns
                 .saturating_sub(before.gpu_screen_space_ns),
