@@ -53,14 +53,14 @@ pub struct Problem {
 #[non_exhaustive]
 pub enum HttpApiError {
     /// Nobody there, or it took too long.
-    #[error("{method} {url}: {}", innermost(.source))]
+    #[error("{method} {url}: {}", innermost(.cause))]
     Request {
         /// The method.
         method: Method,
         /// Where.
         url: String,
-        /// Why not.
-        source: reqwest::Error,
+        /// Why not. No `source`: its text, of which this error tells the useful part, would repeat.
+        cause: reqwest::Error,
     },
     /// The server did not grant it.
     #[error("{method} {url}: {status}{}", problem_text(.problem))]
@@ -135,10 +135,10 @@ impl HttpApi {
             .no_proxy()
             .redirect(reqwest::redirect::Policy::none())
             .build()
-            .map_err(|source| HttpApiError::Request {
+            .map_err(|cause| HttpApiError::Request {
                 method: Method::GET,
                 url: address.http_url("").to_string(),
-                source,
+                cause,
             })?;
         Ok(Self { client, address })
     }
@@ -230,10 +230,10 @@ impl HttpApi {
         method: Method,
         url: &reqwest::Url,
     ) -> Result<(header::HeaderMap, Vec<u8>), HttpApiError> {
-        let failed = |source| HttpApiError::Request {
+        let failed = |cause| HttpApiError::Request {
             method: method.clone(),
             url: url.to_string(),
-            source,
+            cause,
         };
         let response = request.send().await.map_err(failed)?;
         let status = response.status();
