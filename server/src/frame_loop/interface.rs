@@ -1,0 +1,379 @@
+//! What passes between the service edge (sockets, HTTP, encoders) and the thread that owns the
+//! GPU. Plain values in both directions: commands go in through a bounded channel, frames come
+//! out through a [`FrameSink`], figures are read from a [`StatsCell`].
+//!
+//! Who owns what: the frame loop owns pacing (a viewer's fps) and the acknowledgement window (at
+//! most [`FRAMES_IN_FLIGHT_MAX`] frames of a viewer composited and not acknowledged). The edge owns
+//! encoding, the latest-wins slot and the socket.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, SyncSender, TrySendError};
+use std::sync::{Arc, PoisonError, RwLock};
+use std::time::Instant;
+
+use serde::Serialize;
+use skycell_protocol::{
+    Camera, CellId, Codec, FrameSequence, FrameSize, InputSequence, RendererKind, Scene, ViewerId,
+};
+use thiserror::Error;
+
+/// How many frames of a viewer may be composited and not yet acknowledged. An acknowledgement is
+/// cumulative, so a frame that was overwritten in the slot and never sent is covered by that of a
+/// later one.
+pub const FRAMES_IN_FLIGHT_MAX: u32 = 2;
+
+/// How many commands may wait for the frame loop. The edge sends at most about 250 a second for a
+/// viewer, so a loop this far behind is stuck.
+pub const RENDER_COMMANDS_MAX: usize = 16_384;
+
+/// What a viewer wants to be rendered.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ViewRequest {
+    /// Width and height of frames.
+    pub size: FrameSize,
+    /// The most frames a second that the viewer wants, 1 to 120.
+    pub fps: f64,
+    /// How frames are compressed.
+    pub codec: Codec,
+    /// Quality of JPEG frames, 1 to 100.
+    pub jpeg_quality: u8,
+    /// Where the viewer stands and looks.
+    pub camera: Camera,
+    /// Which renderer makes the frames.
+    pub renderer: RendererKind,
+}
+
+/// A message to the frame loop.
+#[derive(Clone, Debug)]
+pub enum RenderCommand {
+    /// A viewer has connected and wants frames.
+    Join {
+        /// Who.
+        viewer: ViewerId,
+        /// What it wants. Its camera counts as input 0.
+        view: ViewRequest,
+    },
+    /// A viewer has moved or turned.
+    SetCamera {
+        /// Who.
+        viewer: ViewerId,
+        /// The client's number of the input; frames that show it carry it.
+        input: InputSequence,
+        /// Where it stands and looks now.
+        camera: Camera,
+    },
+    /// A viewer has changed its wishes. The camera in `view` is the last one that was sent.
+    SetView {
+        /// Who.
+        viewer: ViewerId,
+        /// All that it wants now.
+        view: ViewRequest,
+    },
+    /// A viewer has received a frame and with it every earlier one.
+    Acknowledge {
+        /// Who.
+        viewer: ViewerId,
+        /// The frame.
+        sequence: FrameSequence,
+    },
+    /// A viewer is gone. No frame needs to be delivered for it any more.
+    Leave {
+        /// Who.
+        viewer: ViewerId,
+    },
+    /// The scene has changed.
+    SetScene {
+        /// The scene.
+        scene: Arc<Scene>,
+        /// Its revision.
+        revision: u64,
+    },
+    /// End the frame loop; nothing follows.
+    Shutdown,
+}
+
+/// Pixels of a finished frame, usually mapped GPU memory. Dropping them gives the buffer back to
+/// the ring that it came from.
+pub trait FramePixels: Send {
+    /// Red, green, blue, alpha; 8 bits each, sRGB; rows from top to bottom without padding.
+    fn rgba(&self) -> &[u8];
+}
+
+/// A frame that has been read back and waits to be encoded.
+pub struct FinishedFrame {
+    /// Whose frame it is.
+    pub viewer: ViewerId,
+    /// Its number in the viewer's stream, from 1 upwards.
+    pub sequence: FrameSequence,
+    /// The last camera input that it shows.
+    pub input: InputSequence,
+    /// Revision of the scene that it shows.
+    pub scene_revision: u64,
+    /// The view cell that it was composited from.
+    pub cell: CellId,
+    /// Its size.
+    pub size: FrameSize,
+    /// How it is to be compressed.
+    pub codec: Codec,
+    /// Quality, if it is to be a JPEG, 1 to 100.
+    pub jpeg_quality: u8,
+    /// Some visible part of the sky is not yet at the resolution that was asked for.
+    pub coarse: bool,
+    /// Wall clock when the composite was submitted to the GPU ([`crate::clock::unix_now_us`]).
+    pub submitted_unix_us: u64,
+    /// When its pixels had arrived.
+    pub read_back: Instant,
+    /// `size.pixels() * 4` bytes.
+    pub pixels: Box<dyn FramePixels>,
+}
+
+/// Where finished frames go.
+pub trait FrameSink: Send + Sync {
+    /// Takes a frame. Never blocks: when the viewer's previous frame still waits, the newer one
+    /// replaces it, and the drop is counted. A frame of a viewer that is gone is dropped.
+    fn deliver(&self, frame: FinishedFrame);
+}
+
+/// Why a command was not taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum FrameLoopGone {
+    /// The loop's thread has ended.
+    #[error("the renderer has ended")]
+    Ended,
+    /// [`RENDER_COMMANDS_MAX`] commands wait already; it may be worth trying again.
+    #[error("the renderer does not keep up: {RENDER_COMMANDS_MAX} commands wait")]
+    Behind,
+}
+
+/// The channel of commands. The loop keeps the receiver, the handle the sender.
+pub fn render_command_channel() -> (SyncSender<RenderCommand>, Receiver<RenderCommand>) {
+    mpsc::sync_channel(RENDER_COMMANDS_MAX)
+}
+
+/// What the edge holds of the frame loop.
+#[derive(Clone)]
+pub struct FrameLoopHandle {
+    sender: SyncSender<RenderCommand>,
+    stats: Arc<StatsCell>,
+}
+
+impl FrameLoopHandle {
+    /// A handle from its parts: the sender of [`render_command_channel`] and the cell that the
+    /// loop publishes to.
+    pub fn new(sender: SyncSender<RenderCommand>, stats: Arc<StatsCell>) -> Self {
+        Self { sender, stats }
+    }
+
+    /// Sends a command. Never blocks.
+    ///
+    /// # Errors
+    /// If the loop has ended or is too far behind; the command is then lost.
+    pub fn send(&self, command: RenderCommand) -> Result<(), FrameLoopGone> {
+        self.sender.try_send(command).map_err(|error| match error {
+            TrySendError::Full(_) => FrameLoopGone::Behind,
+            TrySendError::Disconnected(_) => FrameLoopGone::Ended,
+        })
+    }
+
+    /// The figures that the loop published last.
+    pub fn stats(&self) -> Arc<RenderStats> {
+        self.stats.latest()
+    }
+
+    /// Whether the loop has warmed up and runs.
+    pub fn is_ready(&self) -> bool {
+        self.stats.is_ready()
+    }
+}
+
+/// Where the frame loop leaves its figures for everyone to read.
+#[derive(Default)]
+pub struct StatsCell {
+    latest: RwLock<Arc<RenderStats>>,
+    ready: AtomicBool,
+}
+
+impl StatsCell {
+    /// An empty cell of a loop that is not ready.
+    pub fn new() -> Arc<Self> {
+        Arc::default()
+    }
+
+    /// Replaces the figures.
+    pub fn publish(&self, stats: RenderStats) {
+        // A poisoned lock holds whole figures all the same: replacing an Arc cannot be cut short.
+        *self.latest.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(stats);
+    }
+
+    /// The figures that were published last.
+    pub fn latest(&self) -> Arc<RenderStats> {
+        let latest = self.latest.read().unwrap_or_else(PoisonError::into_inner);
+        Arc::clone(&latest)
+    }
+
+    /// Says that the loop is ready, until the guard is dropped: also when its thread panics.
+    #[must_use = "the loop is ready only as long as the guard lives"]
+    pub fn ready(self: &Arc<Self>) -> ReadyGuard {
+        self.ready.store(true, Ordering::Release);
+        ReadyGuard(Arc::clone(self))
+    }
+
+    /// Whether the loop is ready.
+    pub fn is_ready(&self) -> bool {
+        self.ready.load(Ordering::Acquire)
+    }
+}
+
+/// As long as it lives, the frame loop is ready.
+pub struct ReadyGuard(Arc<StatsCell>);
+
+impl Drop for ReadyGuard {
+    fn drop(&mut self) {
+        self.0.ready.store(false, Ordering::Release);
+    }
+}
+
+/// The frame loop's figures, published about once a tick.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct RenderStats {
+    /// What renders.
+    pub adapter: AdapterStats,
+    /// Number of the tick after which these figures were taken.
+    pub tick: u64,
+    /// Revision of the scene that the loop renders.
+    pub scene_revision: u64,
+    /// Since the loop has been ready.
+    pub uptime_s: f64,
+    /// Sums since the start.
+    pub totals: RenderTotals,
+    /// The view cells that exist.
+    pub cells: Vec<CellStats>,
+    /// The viewers that the loop knows.
+    pub viewers: Vec<ViewerRenderStats>,
+}
+
+/// The graphics adapter.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct AdapterStats {
+    /// What it calls itself.
+    pub name: String,
+    /// Its driver and the driver's version.
+    pub driver: String,
+    /// Vulkan, Metal or DX12.
+    pub backend: String,
+    /// Discrete, integrated or virtual GPU, or CPU.
+    pub device_type: String,
+}
+
+/// Sums since the frame loop's start; `cache_bytes` is what is allocated now.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct RenderTotals {
+    /// Turns of the loop.
+    pub ticks: u64,
+    /// Command buffers submitted to the GPU's queue.
+    pub submissions: u64,
+    /// Compute dispatches and draws.
+    pub dispatches: u64,
+    /// Cache texels marched.
+    pub texels_updated: u64,
+    /// Cache tiles marched.
+    pub tiles_updated: u64,
+    /// Cache tiles given up.
+    pub tiles_evicted: u64,
+    /// Frames composited.
+    pub frames_composited: u64,
+    /// Frames read back.
+    pub frames_read_back: u64,
+    /// GPU time of cache updates.
+    pub gpu_cache_ns: u64,
+    /// GPU time of composites.
+    pub gpu_composite_ns: u64,
+    /// GPU time of the screen-space renderer.
+    pub gpu_screen_space_ns: u64,
+    /// Rays marched by the screen-space renderer.
+    pub screen_space_marches: u64,
+    /// GPU memory of caches, now.
+    pub cache_bytes: u64,
+}
+
+/// A view cell.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct CellStats {
+    /// Its number.
+    pub id: CellId,
+    /// What people call it.
+    pub name: String,
+    /// Where its rays start: x, altitude, z.
+    pub reference_m: [f64; 3],
+    /// How far its anchor has drifted with the wind: x, altitude, z.
+    pub anchor_drift_m: [f64; 3],
+    /// Who belongs to it.
+    pub viewers: Vec<ViewerId>,
+    /// Texels that its viewers request, summed over the viewers.
+    pub texels_requested: u64,
+    /// The same, each texel counted once.
+    pub texels_unique: u64,
+    /// Share of requested texels that another viewer requests too, 0 to 1.
+    pub overlap: f64,
+    /// Texels that wait for an update.
+    pub texels_pending: u64,
+    /// Tiles that are allocated.
+    pub tiles_resident: u64,
+    /// GPU memory of its caches.
+    pub bytes: u64,
+    /// Nothing waits for an update.
+    pub converged: bool,
+}
+
+/// A viewer as the frame loop sees it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ViewerRenderStats {
+    /// Its number.
+    pub id: ViewerId,
+    /// The view cell that it belongs to.
+    pub cell: CellId,
+    /// Texels that it requests.
+    pub texels_requested: u64,
+    /// Frames composited for it.
+    pub frames_composited: u64,
+    /// Frames composited and not acknowledged.
+    pub frames_in_flight: u32,
+    /// Which renderer makes its frames.
+    pub renderer: RendererKind,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_to_an_ended_loop_is_refused_and_a_full_channel_does_not_block() {
+        let (sender, receiver) = render_command_channel();
+        let handle = FrameLoopHandle::new(sender, StatsCell::new());
+        for _ in 0..RENDER_COMMANDS_MAX {
+            assert_eq!(handle.send(RenderCommand::Shutdown), Ok(()));
+        }
+        assert_eq!(
+            handle.send(RenderCommand::Shutdown),
+            Err(FrameLoopGone::Behind)
+        );
+        drop(receiver);
+        assert_eq!(
+            handle.send(RenderCommand::Shutdown),
+            Err(FrameLoopGone::Ended)
+        );
+    }
+
+    #[test]
+    fn a_loop_that_panics_is_not_ready_any_more() {
+        let stats = StatsCell::new();
+        let guard = stats.ready();
+        assert!(stats.is_ready());
+        let thread = std::thread::spawn(move || {
+            let _guard = guard;
+            panic!("on purpose");
+        });
+        assert!(thread.join().is_err());
+        assert!(!stats.is_ready());
+    }
+}
