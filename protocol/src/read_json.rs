@@ -32,19 +32,26 @@ pub fn unknown_name_advice(unknown: &str, known: &[&str]) -> String {
 }
 
 /// A type that can be read from a JSON value.
-pub(crate) trait ReadJson: Sized {
+pub trait ReadJson: Sized {
     /// Reads the value that stands at `pointer`.
+    ///
+    /// # Errors
+    /// Names the pointer, the value and what is allowed.
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError>;
 }
 
 /// A JSON object whose members are read by name.
-pub(crate) struct ObjectReader<'a> {
+pub struct ObjectReader<'a> {
     members: &'a Map<String, Value>,
     pointer: &'a str,
 }
 
 impl<'a> ObjectReader<'a> {
-    pub(crate) fn new(value: &'a Value, pointer: &'a str) -> Result<Self, ValueError> {
+    /// The members of `value`, which stands at `pointer`.
+    ///
+    /// # Errors
+    /// If the value is no object.
+    pub fn new(value: &'a Value, pointer: &'a str) -> Result<Self, ValueError> {
         match value {
             Value::Object(members) => Ok(Self { members, pointer }),
             other => Err(ValueError::new(pointer, other, "an object")),
@@ -52,7 +59,10 @@ impl<'a> ObjectReader<'a> {
     }
 
     /// Refuses every key that is not one of `known`.
-    pub(crate) fn only(&self, known: &[&str]) -> Result<(), ValueError> {
+    ///
+    /// # Errors
+    /// Names the first unknown key and the known one that was most likely meant.
+    pub fn only(&self, known: &[&str]) -> Result<(), ValueError> {
         match self
             .members
             .iter()
@@ -68,7 +78,10 @@ impl<'a> ObjectReader<'a> {
     }
 
     /// The member `key`, if there is one.
-    pub(crate) fn optional<T: ReadJson>(&self, key: &str) -> Result<Option<T>, ValueError> {
+    ///
+    /// # Errors
+    /// If it is not of the type.
+    pub fn optional<T: ReadJson>(&self, key: &str) -> Result<Option<T>, ValueError> {
         self.members
             .get(key)
             .map(|value| T::read_json(value, &child_pointer(self.pointer, key)))
@@ -76,24 +89,33 @@ impl<'a> ObjectReader<'a> {
     }
 
     /// The member `key`, or the default where there is none.
-    pub(crate) fn member_or<T: ReadJson>(&self, key: &str, default: T) -> Result<T, ValueError> {
+    ///
+    /// # Errors
+    /// If it is not of the type.
+    pub fn member_or<T: ReadJson>(&self, key: &str, default: T) -> Result<T, ValueError> {
         Ok(self.optional(key)?.unwrap_or(default))
     }
 
     /// The member `key`, which has to be there. `allowed` tells what, if it is not.
-    pub(crate) fn required<T: ReadJson>(&self, key: &str, allowed: &str) -> Result<T, ValueError> {
+    ///
+    /// # Errors
+    /// If it is not there or not of the type.
+    pub fn required<T: ReadJson>(&self, key: &str, allowed: &str) -> Result<T, ValueError> {
         self.optional(key)?
             .ok_or_else(|| ValueError::missing(child_pointer(self.pointer, key), allowed))
     }
 
     /// The pointer of the member `key`.
-    pub(crate) fn pointer_of(&self, key: &str) -> String {
+    pub fn pointer_of(&self, key: &str) -> String {
         child_pointer(self.pointer, key)
     }
 }
 
 /// One of several names that stand for values, such as `"jpeg"` for a codec.
-pub(crate) fn read_name<T: Copy>(
+///
+/// # Errors
+/// Lists the names, if the value is none of them.
+pub fn read_name<T: Copy>(
     value: &Value,
     pointer: &str,
     names: &[(&str, T)],
@@ -109,6 +131,12 @@ pub(crate) fn read_name<T: Copy>(
                 .collect();
             ValueError::new(pointer, value, list.join(" or "))
         })
+}
+
+impl ReadJson for Value {
+    fn read_json(value: &Value, _pointer: &str) -> Result<Self, ValueError> {
+        Ok(value.clone())
+    }
 }
 
 impl ReadJson for f64 {

@@ -2,12 +2,25 @@
 //!
 //! The modules stand in the order in which data passes them.
 
+pub mod clock;
+pub mod config;
+pub mod metrics;
+
+pub mod scene;
+pub mod viewers;
+
 pub mod cache;
 pub mod cells;
-pub mod clock;
 pub mod composite;
 pub mod field;
 pub mod frame_loop;
 pub mod gpu;
 pub mod march;
+
+pub mod encode;
+pub mod stream;
+
+pub mod api;
+pub mod doctor;
 pub mod render_command;
+pub mod service;

@@ -1,15 +1,70 @@
-//! The render service's binary.
+//! `skycell-server`: the command line of the service.
 
-use clap::Parser;
+mod serve;
 
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+use skycell_server::config::{Config, Flags};
+use skycell_server::doctor::{self, DoctorArguments};
+use skycell_server::render_command::{self, RenderArguments};
+
+/// Renders a shared sky and streams it to its viewers.
 #[derive(Parser)]
-enum Command {
-    /// One picture without a server.
-    Render(skycell_server::render_command::RenderArguments),
+#[command(name = "skycell-server", version, about)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
 }
 
-fn main() -> anyhow::Result<()> {
-    match Command::parse() {
-        Command::Render(arguments) => skycell_server::render_command::run(&arguments),
+#[derive(Subcommand)]
+enum Command {
+    /// Serve the sky to viewers.
+    #[command(after_help = "Example: skycell-server serve --listen 127.0.0.1:8080 --state ~/.local/state/skycell")]
+    Serve(ServeArgs),
+    /// Render one picture from a scene file and a camera, without a server.
+    #[command(after_help = "Example: skycell-server render --scene sunset.json --yaw-deg 250 --pitch-deg 10 --out sunset.png")]
+    Render(RenderArguments),
+    /// Say which adapters there are, whether they can render, and how to get what is missing.
+    #[command(after_help = "Example: skycell-server doctor --json")]
+    Doctor(DoctorArguments),
+}
+
+#[derive(Args)]
+struct ServeArgs {
+    /// Listen here instead of on 127.0.0.1:8080.
+    #[arg(long, value_name = "ADDR:PORT")]
+    listen: Option<SocketAddr>,
+    /// Keep the scene and the noise cache in this folder.
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
+    /// Read settings from this TOML file. SKYCELL_... variables and flags override it.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+fn main() -> ExitCode {
+    let result = match Cli::parse().command {
+        Command::Serve(args) => serve(args),
+        Command::Render(arguments) => render_command::run(&arguments),
+        Command::Doctor(arguments) => doctor::run(&arguments),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("skycell-server: {error:#}");
+            ExitCode::FAILURE
+        }
     }
+}
+
+fn serve(args: ServeArgs) -> anyhow::Result<()> {
+    let config = Config::load(&Flags {
+        listen: args.listen,
+        state_dir: args.state,
+        file: args.config,
+    })?;
+    serve::run(config)
 }

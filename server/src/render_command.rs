@@ -1,7 +1,7 @@
 //! `skycell-server render`: one picture from a scene file and a camera, without a server.
 
-use crate::cells::PlacedCell;
-use crate::frame_loop::{RenderConfig, StillPixels, StillRenderer};
+use crate::config::{PlacedCell, RenderConfig};
+use crate::frame_loop::{StillPixels, StillRenderer};
 use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use skycell_protocol::{Camera, FrameSize, RendererKind, Scene};
@@ -132,11 +132,13 @@ pub fn run(arguments: &RenderArguments) -> anyhow::Result<()> {
         samples: arguments.samples,
         march_steps: arguments.steps,
         cache_memory_mib: 2048,
-        noise_cache_dir: arguments
-            .noise_cache_dir
-            .clone()
-            .or_else(default_noise_cache_dir),
-        ..RenderConfig::default()
+        ..RenderConfig::new(
+            arguments
+                .noise_cache_dir
+                .clone()
+                .or_else(default_noise_cache_dir)
+                .unwrap_or_else(|| PathBuf::from("skycell-cache")),
+        )
     };
     let kind = match arguments.renderer {
         StillKind::ScreenSpace => RendererKind::ScreenSpace,

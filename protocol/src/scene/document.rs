@@ -266,12 +266,6 @@ fn only_model_keys(
     })
 }
 
-impl ReadJson for Value {
-    fn read_json(value: &Value, _pointer: &str) -> Result<Self, ValueError> {
-        Ok(value.clone())
-    }
-}
-
 impl ReadJson for AtmosphereDocument {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
         let members = ObjectReader::new(value, pointer)?;

@@ -3,20 +3,10 @@
 //! Cells are placed by hand in the config or formed around the first viewer of a place. Clusters that form, split and
 //! merge by themselves, and transitions between cells, will take the place of [`Cells::assign`].
 
+use crate::config::PlacedCell;
 use glam::DVec3;
 use skycell_protocol::{CellId, ViewerId};
 use std::collections::BTreeMap;
-
-/// A cell that the operator places.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PlacedCell {
-    /// What people call it.
-    pub name: String,
-    /// Centre (x, altitude, z): the reference point.
-    pub center_m: [f64; 3],
-    /// Viewers within this distance belong to it.
-    pub radius_m: f64,
-}
 
 /// Viewers farther than this from a formed cell's reference form another one: where the error of a shared reference
 /// becomes just noticeable sideways (Weinrauch et al. 2023, user study: 3 km).

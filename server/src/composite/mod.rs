@@ -1,22 +1,12 @@
 //! The pass that makes one viewer's picture: intersect, read, colour, blend back to front, tone map, dither.
 
 use crate::cache::ViewFrustum;
+use crate::config::FrameFilter;
 use crate::gpu::{Gpu, PipelineKey, Pipelines, TimedPass, TimingRing};
 use crate::march::CellFrame;
 use glam::DVec3;
 use skycell_protocol::{Camera, FrameSize};
 use skycell_shaders::{Features, Kernel, layout};
-
-/// How the cache is read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize, Default)]
-#[serde(rename_all = "kebab-case")]
-pub enum FrameFilter {
-    /// Catmull-Rom: sharp.
-    #[default]
-    CatmullRom,
-    /// Bilinear: a little softer, a fifth of the reads.
-    Bilinear,
-}
 
 /// What a composite is specialised to.
 #[must_use]

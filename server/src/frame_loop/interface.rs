@@ -159,7 +159,8 @@ pub struct FrameLoopHandle {
 
 impl FrameLoopHandle {
     /// A handle from its parts: the sender of [`render_command_channel`] and the cell that the
-    /// loop publishes to.
+    /// loop publishes to. The adapter should stand there before the service starts: viewers are
+    /// told its name when they connect.
     pub fn new(sender: SyncSender<RenderCommand>, stats: Arc<StatsCell>) -> Self {
         Self { sender, stats }
     }

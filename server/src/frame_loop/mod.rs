@@ -2,10 +2,11 @@
 //! back.
 
 pub mod interface;
+mod pacing;
 mod renderer;
 mod screen_space;
 mod stats;
 mod still;
 
-pub use renderer::RenderConfig;
+pub use pacing::FrameLoop;
 pub use still::{StillPixels, StillRenderer};

@@ -7,9 +7,10 @@ use crate::cache::{
     BYTES_PER_TEXEL, Caches, ProxySphere, SphereId, TEXELS_PER_TILE, TileRequest, TileUpdate,
     coarse_tiles, requested_tiles,
 };
-use crate::cells::{Cells, PlacedCell};
+use crate::cells::Cells;
 use crate::clock::unix_now_us;
-use crate::composite::{FrameFilter, Picture, composite_key, view_frustum, view_uniform};
+use crate::config::{PlacedCell, RenderConfig};
+use crate::composite::{Picture, composite_key, view_frustum, view_uniform};
 use crate::field::FieldStore;
 use crate::gpu::{
     FieldTextures, Gpu, GpuError, PipelineKey, Pipelines, ReadbackRing, TimedPass, TimingRing,
@@ -26,7 +27,6 @@ use skycell_protocol::{
 };
 use skycell_shaders::{Features, layout};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::time::Instant;
@@ -35,36 +35,6 @@ use std::time::Instant;
 const READBACKS_PER_VIEWER: usize = 3;
 /// Beyond this distance between anchor and reference the cache's texels no longer have even sizes for the viewers.
 const ANCHOR_DRIFT_MAX_M: f64 = 1_500.0;
-
-/// How the renderer is set up.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RenderConfig {
-    /// Halvings of the cache's resolution below the screen's, 0…4.
-    pub mip_bias: f32,
-    /// Samples that a texel averages, 1…16.
-    pub samples: u32,
-    /// Memory for cached texels, MiB.
-    pub cache_memory_mib: u32,
-    /// Steps through a layer's thickness.
-    pub march_steps: u32,
-    /// How the cache is read.
-    pub frame_filter: FrameFilter,
-    /// Where noise is kept on disk.
-    pub noise_cache_dir: Option<PathBuf>,
-}
-
-impl Default for RenderConfig {
-    fn default() -> Self {
-        Self {
-            mip_bias: 0.0,
-            samples: 8,
-            cache_memory_mib: 256,
-            march_steps: MarchSettings::default().steps,
-            frame_filter: FrameFilter::default(),
-            noise_cache_dir: None,
-        }
-    }
-}
 
 /// Where a layer's addresses are centred: follows the layer's wind.
 #[derive(Clone, Copy, Debug)]
@@ -142,7 +112,7 @@ impl SkyRenderer {
         placed: &[PlacedCell],
     ) -> Result<Self, GpuError> {
         let pipelines = Pipelines::new(&gpu);
-        let store = FieldStore::new(config.noise_cache_dir.clone());
+        let store = FieldStore::new(Some(config.noise_cache_dir.clone()));
         let field = FieldTextures::new(&gpu, &pipelines.field_layout, store);
         let tile_bytes = TEXELS_PER_TILE * BYTES_PER_TEXEL;
         let tiles_max = (u64::from(config.cache_memory_mib) << 20) / tile_bytes;
@@ -210,6 +180,46 @@ impl SkyRenderer {
             viewer.screen_space = None;
         }
         self.touch_all_requests();
+        Ok(())
+    }
+
+    /// Runs every pipeline once: a driver may compile at the first dispatch, which must not be a viewer's frame.
+    pub(super) fn warm_up(&mut self) -> Result<(), GpuError> {
+        use skycell_protocol::Codec;
+        let viewer = ViewerId(u32::MAX);
+        let size = skycell_protocol::FrameSize::new(8, 8)
+            .map_err(|error| GpuError::Device(error.to_string()))?;
+        for renderer in [RendererKind::Cached, RendererKind::ScreenSpace] {
+            let camera = Camera::default();
+            self.join(
+                viewer,
+                ViewRequest {
+                    size,
+                    fps: 1.0,
+                    codec: Codec::Png,
+                    jpeg_quality: 100,
+                    camera,
+                    renderer,
+                },
+            );
+            self.refresh_cells();
+            self.march(1);
+            if renderer == RendererKind::ScreenSpace {
+                self.march_screen_space(viewer, 1);
+            }
+            self.refresh_cells();
+            let key = composite_key(
+                self.config.frame_filter,
+                renderer == RendererKind::ScreenSpace,
+                false,
+            );
+            let picture = Picture::new(&self.gpu, &self.pipelines, size, false);
+            self.composite_still(viewer, &picture, key)?;
+            self.leave(viewer);
+        }
+        self.gpu.wait()?;
+        self.counters = Counters::default();
+        self.timing = TimingRing::new(&self.gpu);
         Ok(())
     }
 

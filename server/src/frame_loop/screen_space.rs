@@ -43,6 +43,23 @@ impl SkyRenderer {
         })
     }
 
+    /// Whether the picture under way has at least one whole sample, or there is none.
+    pub(super) fn screen_space_is_shown(&self, id: ViewerId) -> bool {
+        self.viewers.get(&id).is_some_and(|viewer| {
+            viewer
+                .screen_space
+                .as_ref()
+                .is_none_or(|job| job.sample > 0)
+        })
+    }
+
+    /// Begins a viewer's picture anew, from where it looks now.
+    pub(super) fn restart_screen_space(&mut self, id: ViewerId) {
+        if let Some(viewer) = self.viewers.get_mut(&id) {
+            viewer.screen_space = None;
+        }
+    }
+
     /// Marches rows of a viewer's picture for about `budget_ns`; true when a sample of the whole picture is complete.
     pub(super) fn march_screen_space(&mut self, id: ViewerId, budget_ns: u64) -> bool {
         let Some(mut viewer) = self.viewers.remove(&id) else {

@@ -1,8 +1,8 @@
 //! One picture without a server: the same renderer, driven until nothing is left to do.
 
 use super::interface::{RenderTotals, ViewRequest};
-use super::renderer::{RenderConfig, SkyRenderer};
-use crate::cells::PlacedCell;
+use super::renderer::SkyRenderer;
+use crate::config::{PlacedCell, RenderConfig};
 use crate::composite::{Picture, composite_key};
 use crate::gpu::{Gpu, GpuError, TimedPass, read_buffer_blocking};
 use skycell_protocol::{Camera, Codec, FrameSize, RendererKind, Scene, ViewerId};

@@ -1,0 +1,193 @@
+//! `skycell load`.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::Context;
+use skycell_client::ServerAddress;
+use skycell_client::load::{self, LoadOptions, LoadReport, ViewerRing};
+use skycell_protocol::FrameSize;
+
+use super::{asked_to_stop, print_line, progress_bar};
+
+const EXAMPLES: &str = "\
+Examples:
+  skycell load --url ws://127.0.0.1:8080/ws --viewers 16 --overlaps 0,20,40,60,80,100 --json load.json
+  skycell load --url ws://127.0.0.1:8080/ws --viewers 4 --overlaps 0,100 --wind-off --renderer-baseline
+
+All viewers stand at one place. With n of them a picture is 360/n degrees wide at most, and
+neighbours are turned by (1 - overlap) of that about the vertical axis: at 0 % they close the
+circle, at 100 % all look the same way. Per overlap: fresh viewers join an empty server, hold still
+until its sky has converged, turn together for some seconds, and leave. They acknowledge frames
+without decoding them. The server must have no other viewers.
+
+Ideal is: texels updated = unique texels x samples, and GPU time in proportion to unique texels.";
+
+/// Measures what it saves that viewers see the same sky.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Arguments {
+    /// The server's address.
+    #[arg(long, default_value = "ws://127.0.0.1:8080/ws")]
+    url: ServerAddress,
+    /// How many viewers.
+    #[arg(long, default_value_t = 16)]
+    viewers: u32,
+    /// Overlaps of neighbours in %, in the order of measuring.
+    #[arg(long, value_delimiter = ',', default_value = "0,20,40,60,80,100")]
+    overlaps: Vec<f64>,
+    /// Where to save the report as JSON, after each overlap; - for stdout instead of the table.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Pixels in a row.
+    #[arg(long, default_value_t = 640)]
+    width: u32,
+    /// Rows.
+    #[arg(long, default_value_t = 360)]
+    height: u32,
+    /// Frames per second that each viewer wishes.
+    #[arg(long, default_value_t = 30.0)]
+    fps: f64,
+    /// How long to turn per overlap; 0 leaves it out.
+    #[arg(long, value_name = "SECONDS", default_value_t = 5.0)]
+    seconds: f64,
+    /// How fast to turn.
+    #[arg(
+        long,
+        value_name = "DEG_PER_S",
+        default_value_t = 10.0,
+        allow_negative_numbers = true
+    )]
+    turn_speed: f64,
+    /// How wide a picture is; without it 360/viewers, 90 at most.
+    #[arg(long, value_name = "DEG")]
+    horizontal_fov_deg: Option<f64>,
+    /// How far up all look.
+    #[arg(
+        long,
+        value_name = "DEG",
+        default_value_t = 12.0,
+        allow_negative_numbers = true
+    )]
+    pitch_deg: f64,
+    /// Where all stand: east, altitude, south.
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        default_value = "0,2,0",
+        allow_negative_numbers = true
+    )]
+    position_m: Vec<f64>,
+    /// How long to wait for a converged sky per overlap.
+    #[arg(long, value_name = "SECONDS", default_value_t = 300.0)]
+    converge_timeout_s: f64,
+    /// Updates until a texel has converged, if the server does not tell.
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
+    samples: u32,
+    /// Has the same views by the screen-space renderer as well, one frame each.
+    #[arg(long)]
+    renderer_baseline: bool,
+    /// Takes the wind out of the scene first and puts it back afterwards.
+    #[arg(long)]
+    wind_off: bool,
+}
+
+const OVERLAPS_MAX: usize = 100;
+const WAIT_MAX_S: f64 = 3600.0;
+
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let options = options(&arguments)?;
+    let to_stdout = arguments.json.as_deref() == Some(Path::new("-"));
+    let file = arguments.json.as_deref().filter(|_| !to_stdout);
+    // Before minutes are spent on figures that nobody can save.
+    if let Some(file) = file {
+        std::fs::File::create(file).with_context(|| file.display().to_string())?;
+    }
+    let progress = progress_bar("{spinner} {pos}/{len} overlaps  {msg}");
+    progress.set_length(options.overlaps.len() as u64);
+    progress.enable_steady_tick(Duration::from_millis(200));
+    let mut saved = Ok(());
+    let result = load::run(
+        &arguments.url,
+        &options,
+        &progress,
+        asked_to_stop(),
+        |report| {
+            if let (Some(file), Ok(())) = (file, &saved) {
+                saved = save(file, report);
+            }
+        },
+    )
+    .await;
+    progress.finish_and_clear();
+    let report = result?;
+    saved?;
+    if to_stdout {
+        return print_line(&serde_json::to_string_pretty(&report)?);
+    }
+    print_line(load::table(&report).trim_end())
+}
+
+fn save(file: &Path, report: &LoadReport) -> anyhow::Result<()> {
+    let text = serde_json::to_vec_pretty(report)?;
+    std::fs::write(file, text).with_context(|| file.display().to_string())
+}
+
+fn options(arguments: &Arguments) -> anyhow::Result<LoadOptions> {
+    let size = FrameSize::new(arguments.width, arguments.height)?;
+    let &[x_m, altitude_m, z_m] = arguments.position_m.as_slice() else {
+        anyhow::bail!(
+            "--position-m has {} numbers; allowed: 3",
+            arguments.position_m.len()
+        );
+    };
+    let ring = ViewerRing::new(
+        arguments.viewers,
+        size,
+        [x_m, altitude_m, z_m],
+        arguments.pitch_deg,
+        arguments.horizontal_fov_deg,
+    )?;
+    anyhow::ensure!(
+        (1..=OVERLAPS_MAX).contains(&arguments.overlaps.len()),
+        "--overlaps has {} numbers; allowed: 1 to {OVERLAPS_MAX}",
+        arguments.overlaps.len()
+    );
+    for &percent in &arguments.overlaps {
+        in_range("--overlaps", percent, 0.0, 100.0)?;
+    }
+    in_range("--fps", arguments.fps, 1.0, 120.0)?;
+    in_range("--turn-speed", arguments.turn_speed, -360.0, 360.0)?;
+    in_range("--seconds", arguments.seconds, 0.0, WAIT_MAX_S)?;
+    in_range(
+        "--converge-timeout-s",
+        arguments.converge_timeout_s,
+        1.0,
+        WAIT_MAX_S,
+    )?;
+    Ok(LoadOptions {
+        ring,
+        overlaps: arguments
+            .overlaps
+            .iter()
+            .map(|percent| percent / 100.0)
+            .collect(),
+        size,
+        fps: arguments.fps,
+        converge_timeout: Duration::from_secs_f64(arguments.converge_timeout_s),
+        turn_duration: Duration::from_secs_f64(arguments.seconds),
+        turn_speed_deg_per_s: arguments.turn_speed,
+        samples_per_texel: arguments.samples,
+        renderer_baseline: arguments.renderer_baseline,
+        wind_off: arguments.wind_off,
+    })
+}
+
+fn in_range(name: &str, value: f64, low: f64, high: f64) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        (low..=high).contains(&value),
+        "{name} is {value}; allowed: {low} to {high}"
+    );
+    Ok(())
+}

@@ -1,0 +1,73 @@
+//! The subcommands: arguments in, library calls, text out.
+
+pub(crate) mod load;
+pub(crate) mod record;
+pub(crate) mod scene;
+
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::Context;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::Value;
+
+/// A camera path or a merge patch is no longer than this.
+const INPUT_MAX_BYTES: u64 = 8 << 20;
+
+/// A bar on stderr; nothing where stderr is no terminal.
+fn progress_bar(template: &str) -> ProgressBar {
+    let progress = ProgressBar::new(0);
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        progress.set_style(style);
+    }
+    progress
+}
+
+/// Writes a line to stdout. A reader that went away (`skycell … | head`) ends the command quietly.
+fn print_line(text: &str) -> anyhow::Result<()> {
+    match writeln!(std::io::stdout(), "{text}") {
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => std::process::exit(0),
+        result => result.context("stdout"),
+    }
+}
+
+/// Reads a JSON file of a bounded size.
+fn read_json_file(path: &Path) -> anyhow::Result<Value> {
+    let file = std::fs::File::open(path).with_context(|| path.display().to_string())?;
+    read_json(file).with_context(|| path.display().to_string())
+}
+
+fn read_json(reader: impl std::io::Read) -> anyhow::Result<Value> {
+    let mut text = String::new();
+    let mut bounded = reader.take(INPUT_MAX_BYTES + 1);
+    std::io::Read::read_to_string(&mut bounded, &mut text)?;
+    anyhow::ensure!(
+        text.len() as u64 <= INPUT_MAX_BYTES,
+        "longer than {INPUT_MAX_BYTES} bytes"
+    );
+    Ok(serde_json::from_str(&text)?)
+}
+
+/// Ready when the user (Ctrl-C) or the system asks the process to end.
+async fn asked_to_stop() {
+    let interrupted = async {
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+    };
+    #[cfg(unix)]
+    let terminated = async {
+        match tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
+            Ok(mut signal) => {
+                signal.recv().await;
+            }
+            Err(_) => std::future::pending().await,
+        }
+    };
+    #[cfg(not(unix))]
+    let terminated = std::future::pending::<()>();
+    tokio::select! {
+        () = interrupted => {}
+        () = terminated => {}
+    }
+}

@@ -1,0 +1,312 @@
+//! The server's HTTP API, as far as clients use it.
+
+use std::time::Duration;
+
+use reqwest::{Method, Response, StatusCode, header};
+use serde::Deserialize;
+use serde_json::Value;
+use thiserror::Error;
+
+use crate::{ServerAddress, ServerStats};
+
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
+/// A scene has a few kB, the counters of a full server some hundred.
+const BODY_MAX_BYTES: usize = 8 << 20;
+const MERGE_PATCH: &str = "application/merge-patch+json";
+/// How often a patch without an own precondition is tried when others patch at the same time.
+const PATCH_TRIES: u32 = 5;
+
+/// A scene document and the revision it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneRevision {
+    /// The entity tag as the server wrote it, quotes included.
+    pub etag: String,
+    /// The document.
+    pub document: Value,
+}
+
+impl SceneRevision {
+    /// The revision's number, if the tag is one.
+    pub fn revision(&self) -> Option<u64> {
+        self.etag.trim_matches('"').parse().ok()
+    }
+}
+
+/// What a server says about a request that it does not grant (RFC 9457).
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Problem {
+    /// What kind of problem, in a few words.
+    pub title: String,
+    /// What is wrong with this request.
+    pub detail: String,
+    /// JSON pointer of the value that is not allowed.
+    pub pointer: Option<String>,
+    /// That value.
+    pub value: Option<Value>,
+    /// What is allowed there.
+    pub allowed: Option<String>,
+}
+
+/// Why a request brought nothing.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum HttpApiError {
+    /// Nobody there, or it took too long.
+    #[error("{method} {url}: {}", innermost(.cause))]
+    Request {
+        /// The method.
+        method: Method,
+        /// Where.
+        url: String,
+        /// Why not. No `source`: its text, of which this error tells the useful part, would repeat.
+        cause: reqwest::Error,
+    },
+    /// The server did not grant it.
+    #[error("{method} {url}: {status}{}", problem_text(.problem))]
+    Refused {
+        /// The method.
+        method: Method,
+        /// Where.
+        url: String,
+        /// The status.
+        status: StatusCode,
+        /// What the server says.
+        problem: Box<Problem>,
+    },
+    /// The answer does not follow the API.
+    #[error("{url}: {reason}")]
+    BadAnswer {
+        /// Where.
+        url: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// reqwest's own text repeats the URL and hides the reason in its sources.
+fn innermost(error: &reqwest::Error) -> String {
+    let mut reason: &dyn std::error::Error = error;
+    while let Some(source) = reason.source() {
+        reason = source;
+    }
+    if error.is_timeout() {
+        format!("no answer within {} s", REQUEST_TIMEOUT.as_secs())
+    } else {
+        reason.to_string()
+    }
+}
+
+fn problem_text(problem: &Problem) -> String {
+    let mut text = String::new();
+    if !problem.detail.is_empty() {
+        text = format!(": {}", problem.detail);
+    } else if !problem.title.is_empty() {
+        text = format!(": {}", problem.title);
+    }
+    for (name, part) in [
+        ("at", problem.pointer.clone()),
+        ("value", problem.value.as_ref().map(Value::to_string)),
+        ("allowed", problem.allowed.clone()),
+    ] {
+        if let Some(part) = part.filter(|part| !text.contains(part.as_str())) {
+            text.push_str(&format!("; {name} {part}"));
+        }
+    }
+    text
+}
+
+/// A client of a server's HTTP API. Cheap to clone.
+#[derive(Clone, Debug)]
+pub struct HttpApi {
+    client: reqwest::Client,
+    address: ServerAddress,
+}
+
+impl HttpApi {
+    /// A client of the server at `address`; asks nothing yet.
+    ///
+    /// # Errors
+    /// If this machine lacks what an HTTP client needs.
+    pub fn new(address: ServerAddress) -> Result<Self, HttpApiError> {
+        let client = reqwest::Client::builder()
+            .timeout(REQUEST_TIMEOUT)
+            // It only talks to the address it was given: not to a proxy, not to where a redirect points.
+            .no_proxy()
+            .redirect(reqwest::redirect::Policy::none())
+            .build()
+            .map_err(|cause| HttpApiError::Request {
+                method: Method::GET,
+                url: address.http_url("").to_string(),
+                cause,
+            })?;
+        Ok(Self { client, address })
+    }
+
+    /// The scene and its revision.
+    ///
+    /// # Errors
+    /// If the server is not there or its answer is not a scene.
+    pub async fn scene(&self) -> Result<SceneRevision, HttpApiError> {
+        self.scene_request(Method::GET, None).await
+    }
+
+    /// Changes the scene by a merge patch (RFC 7396), if it still is the revision `etag`.
+    ///
+    /// # Errors
+    /// [`HttpApiError::Refused`] with 412 if the scene has changed, 422 if a value is not allowed.
+    pub async fn patch_scene(
+        &self,
+        patch: &Value,
+        etag: &str,
+    ) -> Result<SceneRevision, HttpApiError> {
+        self.scene_request(Method::PATCH, Some((patch, etag))).await
+    }
+
+    /// Changes whatever the scene is now; tries again if somebody else was faster.
+    ///
+    /// # Errors
+    /// As [`Self::patch_scene`]; with 412 only after several tries.
+    pub async fn patch_current_scene(&self, patch: &Value) -> Result<SceneRevision, HttpApiError> {
+        let mut tries_left = PATCH_TRIES;
+        loop {
+            let etag = self.scene().await?.etag;
+            tries_left -= 1;
+            match self.patch_scene(patch, &etag).await {
+                Err(HttpApiError::Refused { status, .. })
+                    if status == StatusCode::PRECONDITION_FAILED && tries_left > 0 => {}
+                answer => return answer,
+            }
+        }
+    }
+
+    /// The server's counters.
+    ///
+    /// # Errors
+    /// If the server is not there or its answer lacks a counter.
+    pub async fn stats(&self) -> Result<ServerStats, HttpApiError> {
+        let url = self.address.http_url("api/v1/stats");
+        let (_, body) = self
+            .answer(self.client.get(url.clone()), Method::GET, &url)
+            .await?;
+        serde_json::from_slice(&body).map_err(|error| HttpApiError::BadAnswer {
+            url: url.to_string(),
+            reason: format!("not the counters of a server that this client knows: {error}"),
+        })
+    }
+
+    async fn scene_request(
+        &self,
+        method: Method,
+        patch: Option<(&Value, &str)>,
+    ) -> Result<SceneRevision, HttpApiError> {
+        let url = self.address.http_url("api/v1/scene");
+        let mut request = self.client.request(method.clone(), url.clone());
+        if let Some((patch, etag)) = patch {
+            request = request
+                .header(header::CONTENT_TYPE, MERGE_PATCH)
+                .header(header::IF_MATCH, etag)
+                .body(patch.to_string());
+        }
+        let (headers, body) = self.answer(request, method, &url).await?;
+        let bad = |reason: String| HttpApiError::BadAnswer {
+            url: url.to_string(),
+            reason,
+        };
+        let etag = headers
+            .get(header::ETAG)
+            .and_then(|etag| etag.to_str().ok())
+            .ok_or_else(|| bad("the answer has no ETag".to_owned()))?;
+        Ok(SceneRevision {
+            etag: etag.to_owned(),
+            document: serde_json::from_slice(&body)
+                .map_err(|error| bad(format!("the answer is not JSON: {error}")))?,
+        })
+    }
+
+    async fn answer(
+        &self,
+        request: reqwest::RequestBuilder,
+        method: Method,
+        url: &reqwest::Url,
+    ) -> Result<(header::HeaderMap, Vec<u8>), HttpApiError> {
+        let failed = |cause| HttpApiError::Request {
+            method: method.clone(),
+            url: url.to_string(),
+            cause,
+        };
+        let response = request.send().await.map_err(failed)?;
+        let status = response.status();
+        let headers = response.headers().clone();
+        let body = bounded_body(response).await.map_err(failed)?;
+        let Some(body) = body else {
+            return Err(HttpApiError::BadAnswer {
+                url: url.to_string(),
+                reason: format!("the answer is longer than {BODY_MAX_BYTES} bytes"),
+            });
+        };
+        if status.is_success() {
+            return Ok((headers, body));
+        }
+        Err(HttpApiError::Refused {
+            method,
+            url: url.to_string(),
+            status,
+            // A proxy in between may answer in HTML; then the status says it all.
+            problem: serde_json::from_slice(&body).unwrap_or_default(),
+        })
+    }
+}
+
+/// None if it is too long.
+async fn bounded_body(mut response: Response) -> Result<Option<Vec<u8>>, reqwest::Error> {
+    let mut body = Vec::new();
+    while let Some(chunk) = response.chunk().await? {
+        if body.len() + chunk.len() > BODY_MAX_BYTES {
+            return Ok(None);
+        }
+        body.extend_from_slice(&chunk);
+    }
+    Ok(Some(body))
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn a_problem_is_told_with_place_value_and_what_is_allowed() {
+        let problem: Problem = serde_json::from_value(json!({
+            "type": "about:blank", "title": "Unprocessable", "status": 422, "detail": "the scene is not allowed",
+            "pointer": "/wind/speed_m_per_s", "value": 300, "allowed": "0 to 200"
+        }))
+        .expect("a problem");
+        assert_eq!(
+            problem_text(&problem),
+            ": the scene is not allowed; at /wind/speed_m_per_s; value 300; allowed 0 to 200"
+        );
+    }
+
+    #[test]
+    fn a_detail_that_says_it_all_is_not_repeated() {
+        let problem = Problem {
+            detail: "/wind is 3; allowed: an object".to_owned(),
+            pointer: Some("/wind".to_owned()),
+            value: Some(json!(3)),
+            ..Problem::default()
+        };
+        assert_eq!(problem_text(&problem), ": /wind is 3; allowed: an object");
+    }
+
+    #[test]
+    fn a_revision_is_the_number_in_its_tag() {
+        let scene = |etag: &str| SceneRevision {
+            etag: etag.to_owned(),
+            document: Value::Null,
+        };
+        assert_eq!(scene("\"12\"").revision(), Some(12));
+        assert_eq!(scene("W/\"x\"").revision(), None);
+    }
+}

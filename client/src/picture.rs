@@ -1,0 +1,124 @@
+//! What arrives in frames, as PNG files.
+
+use std::io::Cursor;
+
+use image::{ImageFormat, ImageReader, Limits};
+use skycell_protocol::FrameCodec;
+use skycell_protocol::frame::FrameHeader;
+use skycell_protocol::view::{FRAME_HEIGHT_MAX, FRAME_WIDTH_MAX};
+use thiserror::Error;
+
+/// Why a payload is no picture.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum PictureError {
+    /// A frame without a picture.
+    #[error("the frame holds no picture")]
+    NoPicture,
+    /// Not a JPEG or PNG file.
+    #[error("the picture cannot be read: {0}")]
+    Unreadable(#[from] image::ImageError),
+    /// Another size than the header says.
+    #[error("the picture has {0}x{1} pixels, its header says {2}x{3}")]
+    WrongSize(u32, u32, u16, u16),
+}
+
+/// The picture of a frame as a PNG file: as it came, or a JPEG written anew.
+///
+/// # Errors
+/// If the payload is not the picture that the header describes.
+pub fn to_png(header: &FrameHeader, payload: &[u8]) -> Result<Vec<u8>, PictureError> {
+    let format = match header.codec {
+        FrameCodec::Jpeg => ImageFormat::Jpeg,
+        FrameCodec::Png => ImageFormat::Png,
+        FrameCodec::None => return Err(PictureError::NoPicture),
+    };
+    let mut reader = ImageReader::with_format(Cursor::new(payload), format);
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(FRAME_WIDTH_MAX);
+    limits.max_image_height = Some(FRAME_HEIGHT_MAX);
+    reader.limits(limits);
+    let picture = reader.decode()?;
+    if (picture.width(), picture.height()) != (header.width.into(), header.height.into()) {
+        return Err(PictureError::WrongSize(
+            picture.width(),
+            picture.height(),
+            header.width,
+            header.height,
+        ));
+    }
+    if format == ImageFormat::Png {
+        return Ok(payload.to_vec());
+    }
+    let mut png = Cursor::new(Vec::new());
+    picture.to_rgb8().write_to(&mut png, ImageFormat::Png)?;
+    Ok(png.into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use image::RgbImage;
+    use skycell_protocol::{CellId, FrameSequence, InputSequence, ViewerId};
+
+    use super::*;
+
+    fn header(codec: FrameCodec, width: u16, height: u16) -> FrameHeader {
+        FrameHeader {
+            codec,
+            heartbeat: false,
+            coarse: false,
+            sequence: FrameSequence(1),
+            width,
+            height,
+            scene_revision: 1,
+            input: InputSequence(0),
+            cell: CellId(0),
+            viewer: ViewerId(1),
+            render_unix_us: 0,
+            render_to_encode_us: 0,
+            encode_us: 0,
+            encode_to_send_us: 0,
+            payload_bytes: 0,
+        }
+    }
+
+    fn file(format: ImageFormat) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        RgbImage::from_pixel(32, 16, image::Rgb([90, 140, 200]))
+            .write_to(&mut bytes, format)
+            .expect("written");
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn a_png_is_kept_as_it_came_and_a_jpeg_becomes_one() {
+        let png = file(ImageFormat::Png);
+        assert_eq!(
+            to_png(&header(FrameCodec::Png, 32, 16), &png).expect("a picture"),
+            png
+        );
+        let from_jpeg =
+            to_png(&header(FrameCodec::Jpeg, 32, 16), &file(ImageFormat::Jpeg)).expect("a picture");
+        let picture =
+            image::load_from_memory_with_format(&from_jpeg, ImageFormat::Png).expect("a PNG");
+        assert!((i32::from(picture.to_rgb8().get_pixel(3, 3)[2]) - 200).abs() < 4);
+    }
+
+    #[test]
+    fn what_is_not_the_announced_picture_is_refused() {
+        let png = file(ImageFormat::Png);
+        assert!(matches!(
+            to_png(&header(FrameCodec::Jpeg, 32, 16), &png),
+            Err(PictureError::Unreadable(_))
+        ));
+        assert!(matches!(
+            to_png(&header(FrameCodec::Png, 16, 32), &png),
+            Err(PictureError::WrongSize(32, 16, 16, 32))
+        ));
+        assert!(matches!(
+            to_png(&header(FrameCodec::None, 0, 0), &[]),
+            Err(PictureError::NoPicture)
+        ));
+        assert!(to_png(&header(FrameCodec::Png, 32, 16), &png[..png.len() / 2]).is_err());
+    }
+}

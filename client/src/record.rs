@@ -1,0 +1,298 @@
+//! Follows a camera path and keeps every picture.
+//!
+//! Time goes by frames, not by the clock: each step sends the next camera and waits for the picture
+//! that shows it. A slow server makes the recording slower, not its steps larger. (The sky goes on
+//! by the server's clock meanwhile: a sky with wind looks faster in the recording of a slow server.)
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use indicatif::ProgressBar;
+use serde::Serialize;
+use skycell_protocol::message::{Acknowledgement, Hello};
+use skycell_protocol::{Camera, CameraDocument, Codec, FrameHeader, FrameSize, InputSequence};
+use thiserror::Error;
+use tokio::time::{Instant, timeout_at};
+
+use crate::camera_path::CameraPath;
+use crate::picture::{PictureError, to_png};
+use crate::unix_time::unix_us_now;
+use crate::{Connection, ConnectionError, ConnectionLimits, Event, Frame, ServerAddress};
+
+/// Frames of one recording: an hour at 24 frames a second, and file names of five digits.
+pub const RECORDING_FRAMES_MAX: u32 = 99_999;
+
+/// What to record.
+#[derive(Clone, Debug)]
+pub struct RecordOptions {
+    /// Where to write `frame-00000.png` and so on, and `index.json`.
+    pub directory: PathBuf,
+    /// The way of the camera.
+    pub path: CameraPath,
+    /// How many frames.
+    pub frames: u32,
+    /// Frames per second of the recording: frame i shows the path at i / fps.
+    pub fps: f64,
+    /// Size of the pictures.
+    pub size: FrameSize,
+    /// PNG for exact pictures, JPEG for a fast connection; files are PNG either way.
+    pub codec: Codec,
+    /// How long to wait for a picture that is not coarse before a coarse one is taken.
+    pub sharp_wait: Duration,
+    /// How long to wait for any picture of a step.
+    pub frame_timeout: Duration,
+}
+
+/// What was recorded; `index.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct RecordIndex {
+    /// Where it was recorded.
+    pub url: String,
+    /// Name and version of the server.
+    pub server: String,
+    /// What rendered.
+    pub adapter: String,
+    /// Pixels in a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Frames per second of the recording.
+    pub fps: f64,
+    /// The pictures in order.
+    pub frames: Vec<RecordedFrame>,
+}
+
+/// One picture of a recording.
+#[derive(Clone, Debug, Serialize)]
+pub struct RecordedFrame {
+    /// Its file, beside the index.
+    pub file: String,
+    /// Its moment on the path.
+    pub time_s: f64,
+    /// The camera that it shows.
+    pub camera: CameraDocument,
+    /// This machine's clock when it had arrived, µs since 1970.
+    pub received_unix_us: u64,
+    /// What the server said about it.
+    pub header: HeaderRecord,
+}
+
+/// A frame's header as JSON; [`FrameHeader`] tells what each number means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[expect(missing_docs, reason = "field for field those of FrameHeader")]
+pub struct HeaderRecord {
+    pub coarse: bool,
+    pub sequence: u32,
+    pub scene_revision: u64,
+    pub input: u64,
+    pub cell: u32,
+    pub viewer: u32,
+    pub render_unix_us: u64,
+    pub render_to_encode_us: u32,
+    pub encode_us: u32,
+    pub encode_to_send_us: u32,
+    pub payload_bytes: u32,
+}
+
+impl From<&FrameHeader> for HeaderRecord {
+    fn from(header: &FrameHeader) -> Self {
+        Self {
+            coarse: header.coarse,
+            sequence: header.sequence.0,
+            scene_revision: header.scene_revision,
+            input: header.input.0,
+            cell: header.cell.0,
+            viewer: header.viewer.0,
+            render_unix_us: header.render_unix_us,
+            render_to_encode_us: header.render_to_encode_us,
+            encode_us: header.encode_us,
+            encode_to_send_us: header.encode_to_send_us,
+            payload_bytes: header.payload_bytes,
+        }
+    }
+}
+
+/// Why a recording ended early.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum RecordError {
+    /// No session.
+    #[error(transparent)]
+    Connection(#[from] ConnectionError),
+    /// The server sent something else than a picture.
+    #[error("frame {frame}: {source}")]
+    Picture {
+        /// Which.
+        frame: u32,
+        /// What is wrong with it.
+        source: PictureError,
+    },
+    /// The server did not show a camera in time.
+    #[error("frame {frame}: no picture of its camera within {limit_s} s")]
+    NoPicture {
+        /// Which.
+        frame: u32,
+        /// How long the server had.
+        limit_s: f64,
+    },
+    /// A file cannot be written.
+    #[error("{}: {source}", .path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The index cannot be written as JSON.
+    #[error("the index cannot be written: {0}")]
+    Index(#[from] serde_json::Error),
+}
+
+/// Records what `options` says and writes it to disk.
+///
+/// # Errors
+/// If the connection breaks, a picture does not come or is none, or the disk does not take it.
+/// Pictures written before stay; the index is written at the end only.
+pub async fn record(
+    address: &ServerAddress,
+    options: &RecordOptions,
+    progress: &ProgressBar,
+) -> Result<RecordIndex, RecordError> {
+    create_directory(&options.directory).await?;
+    let first = options.path.at(0.0);
+    let hello = Hello {
+        codec: options.codec,
+        ..Hello::new(options.size, options.fps, first)
+    };
+    let mut connection = Connection::open(address, hello, ConnectionLimits::default()).await?;
+    let welcome = connection.welcome().clone();
+    let mut index = RecordIndex {
+        url: address.to_string(),
+        server: welcome.server,
+        adapter: welcome.adapter,
+        width: options.size.width(),
+        height: options.size.height(),
+        fps: options.fps,
+        frames: Vec::new(),
+    };
+    progress.set_length(options.frames.into());
+    let mut stage = Stage {
+        camera: first,
+        input: InputSequence(0),
+        newest: None,
+    };
+    for number in 0..options.frames {
+        let time_s = f64::from(number) / options.fps;
+        let frame = stage
+            .show(&mut connection, options.path.at(time_s), number, options)
+            .await?;
+        let file = format!("frame-{number:05}.png");
+        let png =
+            to_png(&frame.header, frame.payload()).map_err(|source| RecordError::Picture {
+                frame: number,
+                source,
+            })?;
+        write_file(&options.directory.join(&file), &png).await?;
+        index.frames.push(RecordedFrame {
+            file,
+            time_s,
+            camera: stage.camera.into(),
+            received_unix_us: frame.received_unix_us,
+            header: (&frame.header).into(),
+        });
+        progress.inc(1);
+    }
+    connection.close().await;
+    let text = serde_json::to_vec_pretty(&index)?;
+    write_file(&options.directory.join("index.json"), &text).await?;
+    progress.finish_and_clear();
+    Ok(index)
+}
+
+/// What the server has been asked to show, and what it has shown.
+struct Stage {
+    camera: Camera,
+    input: InputSequence,
+    newest: Option<Frame>,
+}
+
+impl Stage {
+    /// Waits for a picture of `camera`.
+    async fn show(
+        &mut self,
+        connection: &mut Connection,
+        camera: Camera,
+        number: u32,
+        options: &RecordOptions,
+    ) -> Result<Frame, RecordError> {
+        // A server sends nothing where nothing changes: a camera that rests needs no new input,
+        // and a picture of it may be all there will ever be.
+        if camera != self.camera {
+            self.input = connection.send_camera(camera).await?;
+            self.camera = camera;
+        }
+        let begun = Instant::now();
+        let sharp_until = begun + options.sharp_wait;
+        let any_until = begun + options.frame_timeout.max(options.sharp_wait);
+        loop {
+            let shown = self
+                .newest
+                .as_ref()
+                .filter(|frame| frame.header.input >= self.input);
+            let sharp = shown.is_some_and(|frame| !frame.header.coarse);
+            if let (Some(frame), true) = (shown, sharp || Instant::now() >= sharp_until) {
+                return Ok(frame.clone());
+            }
+            let deadline = if shown.is_some() {
+                sharp_until
+            } else {
+                any_until
+            };
+            match timeout_at(deadline, connection.next_event()).await {
+                Ok(Ok(Event::Frame(frame))) => {
+                    connection.acknowledge(acknowledgement(&frame)).await?;
+                    self.newest = Some(frame);
+                }
+                Ok(Ok(Event::Complaint(complaint))) => {
+                    return Err(ConnectionError::Refused(complaint).into());
+                }
+                Ok(Ok(_)) => {}
+                Ok(Err(error)) => return Err(error.into()),
+                Err(_) if shown.is_some() => {} // a coarse picture is taken
+                Err(_) => {
+                    return Err(RecordError::NoPicture {
+                        frame: number,
+                        limit_s: options.frame_timeout.as_secs_f64(),
+                    });
+                }
+            }
+        }
+    }
+}
+
+fn acknowledgement(frame: &Frame) -> Acknowledgement {
+    Acknowledgement {
+        sequence: frame.header.sequence,
+        decode_us: None,
+        present_us: Some(unix_us_now()),
+    }
+}
+
+async fn create_directory(path: &Path) -> Result<(), RecordError> {
+    tokio::fs::create_dir_all(path)
+        .await
+        .map_err(|source| file_error(path, source))
+}
+
+async fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RecordError> {
+    tokio::fs::write(path, bytes)
+        .await
+        .map_err(|source| file_error(path, source))
+}
+
+fn file_error(path: &Path, source: std::io::Error) -> RecordError {
+    RecordError::File {
+        path: path.to_owned(),
+        source,
+    }
+}

@@ -1,0 +1,182 @@
+// @ts-check
+/**
+ * The page: one connection, one picture, one look, and a status line.
+ *
+ * URL parameters: yaw, pitch, fov (degrees), width, height (pixels), fps.
+ */
+
+import { connect } from "./connection.js";
+import { attachLook, clamp, compassPoint } from "./look.js";
+import { pictureSize } from "./picture-size.js";
+import { createView } from "./view.js";
+
+/** @typedef {import("./connection.js").ConnectionStatus} ConnectionStatus */
+/** @typedef {import("./picture-size.js").SizeChoice} SizeChoice */
+
+const SETTLE_AFTER_RESIZE_MS = 200;
+const DEFAULT_FPS = 30;
+
+/**
+ * @template {HTMLElement} T
+ * @param {string} id
+ * @param {new () => T} type
+ * @returns {T}
+ */
+function element(id, type) {
+  const found = document.getElementById(id);
+  if (!(found instanceof type)) throw new Error(`the page has no #${id}`);
+  return found;
+}
+
+const query = new URLSearchParams(location.search);
+
+/**
+ * A number of the address, or the fallback where it is missing or no number.
+ * @param {string} name
+ * @param {number} fallback
+ * @param {number} low
+ * @param {number} high
+ */
+function parameter(name, fallback, low, high) {
+  const text = query.get(name);
+  const value = text === null || text.trim() === "" ? Number.NaN : Number(text);
+  return Number.isFinite(value) ? clamp(value, low, high) : fallback;
+}
+
+const canvas = element("picture", HTMLCanvasElement);
+const stage = element("stage", HTMLElement);
+const size_chooser = element("size", HTMLSelectElement);
+
+const home = {
+  position_m: /** @type {[number, number, number]} */ ([0, 2, 0]),
+  yaw_deg: parameter("yaw", 0, -1e6, 1e6),
+  pitch_deg: parameter("pitch", 12, -90, 90),
+  vertical_fov_deg: parameter("fov", 60, 1, 170),
+};
+
+if (query.has("width") || query.has("height")) {
+  const width = Math.round(parameter("width", 960, 1, 3840));
+  const height = Math.round(parameter("height", 540, 1, 2160));
+  const choice = `${width}x${height}`;
+  if (![...size_chooser.options].some(({ value }) => value === choice)) {
+    size_chooser.add(new Option(`${width} × ${height}`, choice));
+  }
+  size_chooser.value = choice;
+}
+
+/** @param {ConnectionStatus["welcome"]} welcome */
+function wantedSize(welcome) {
+  const box = stage.getBoundingClientRect();
+  const device_pixels = { width: box.width * devicePixelRatio, height: box.height * devicePixelRatio };
+  return pictureSize(/** @type {SizeChoice} */ (size_chooser.value), device_pixels, welcome);
+}
+
+const socket_url = new URL("ws", location.href);
+socket_url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+socket_url.search = "";
+socket_url.hash = "";
+
+const view = createView(canvas);
+const connection = connect(socket_url, {
+  view: { ...wantedSize(null), fps: parameter("fps", DEFAULT_FPS, 1, 120), codec: "jpeg" },
+  camera: home,
+});
+connection.onFrame(view.show);
+
+const look = attachLook(canvas, {
+  camera: home,
+  pictureHeight: view.pictureHeight,
+  onChange: (camera) => {
+    connection.setCamera(camera);
+    showHeading();
+  },
+});
+
+function applySize() {
+  const { welcome } = connection.status;
+  if (!welcome) return; // hello asked for a size that every server should afford
+  connection.setView({ ...wantedSize(welcome), fps: Math.min(parameter("fps", DEFAULT_FPS, 1, 120), welcome.max_fps) });
+}
+size_chooser.addEventListener("change", applySize);
+/** @type {ReturnType<typeof setTimeout> | undefined} */
+let resize_timer;
+new ResizeObserver(() => {
+  clearTimeout(resize_timer);
+  resize_timer = setTimeout(applySize, SETTLE_AFTER_RESIZE_MS);
+}).observe(stage);
+
+const grouped = new Intl.NumberFormat("en", { useGrouping: true });
+
+/**
+ * Writes only what changed, so that nothing is laid out or read aloud again for nothing.
+ * @param {string} id
+ * @param {string} text
+ */
+function write(id, text) {
+  const target = element(id, HTMLElement);
+  if (target.textContent !== text) target.textContent = text;
+}
+
+function showHeading() {
+  const { yaw_deg, pitch_deg, vertical_fov_deg } = look.camera();
+  write(
+    "heading",
+    `${compassPoint(yaw_deg)} ${yaw_deg.toFixed(0)}° · ${pitch_deg < 0 ? "down" : "up"} ` +
+      `${Math.abs(pitch_deg).toFixed(0)}° · field of view ${vertical_fov_deg.toFixed(0)}°`,
+  );
+}
+
+/** @param {import("./connection.js").ServerStatus} server */
+function texelsText({ texels_pending, sky_converged }) {
+  if (texels_pending > 0) return `${grouped.format(texels_pending)} pending`;
+  return sky_converged ? "converged" : "none pending";
+}
+
+/** @param {ConnectionStatus} status */
+function showFigures(status) {
+  const { server, header, fps, mbit_per_s, latency_ms, frame_age_ms } = status;
+  const at_rest = status.state === "open" && fps === 0 && header !== null;
+  write("fps", at_rest ? "at rest" : fps.toFixed(fps < 9.95 ? 1 : 0));
+  write("rate", `${mbit_per_s.toFixed(mbit_per_s < 9.95 ? 2 : 1)} Mbit/s`);
+  write("latency", latency_ms === null ? "–" : `${latency_ms.toFixed(0)} ms`);
+  // By two clocks: an age below zero or of minutes says that they differ, not how old the frame is.
+  const age_known = frame_age_ms !== null && frame_age_ms >= 0 && frame_age_ms < 60_000;
+  write("age", age_known ? `${frame_age_ms.toFixed(0)} ms` : "–");
+  write("cell", server && server.cell !== null ? server.cell_name || `cell ${server.cell}` : "–");
+  write("viewers", server ? String(server.viewers_in_cell) : "–");
+  write("overlap", server ? `${(server.overlap * 100).toFixed(0)} %` : "–");
+  write("texels", server ? texelsText(server) : "–");
+  write("picture-size", header ? `${header.width} × ${header.height}${header.coarse ? ", still coarse" : ""}` : "–");
+}
+
+/** @type {ConnectionStatus["welcome"]} */
+let last_welcome = null;
+connection.onStatus((status) => {
+  document.documentElement.dataset.state = status.state;
+  write("state", status.message);
+  write("countdown", status.retry_in_s === null ? "" : ` in ${status.retry_in_s} s`);
+  write("problem", status.problem);
+  showFigures(status);
+  if (status.welcome && status.welcome !== last_welcome) {
+    last_welcome = status.welcome;
+    write("adapter", status.welcome.adapter);
+    applySize(); // now the limits are known
+  }
+});
+showHeading();
+
+// For tests and the console.
+Object.defineProperty(window, "skycell", {
+  value: Object.freeze({
+    get status() {
+      return connection.status;
+    },
+    get camera() {
+      return look.camera();
+    },
+    get counts() {
+      return view.counts();
+    },
+    connection,
+  }),
+});

@@ -1,0 +1,116 @@
+//! `/api/v1/cells`, `/viewers` and `/stats`: what the service does, in numbers.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State;
+use serde::Serialize;
+use skycell_protocol::{CellId, Codec, RendererKind, ViewerId};
+
+use crate::frame_loop::interface::{CellStats, RenderStats};
+use crate::stream::StreamContext;
+use crate::viewers::Viewer;
+
+/// A viewer as `/api/v1/viewers` shows it.
+#[derive(Debug, Serialize)]
+pub(super) struct ViewerReport {
+    id: ViewerId,
+    /// Null until the renderer has placed the viewer.
+    cell: Option<CellId>,
+    width: u32,
+    height: u32,
+    codec: Codec,
+    jpeg_quality: u8,
+    renderer: RendererKind,
+    /// What the viewer asked for.
+    fps_wanted: f64,
+    /// What it was sent in the last second.
+    fps: f64,
+    mbit_per_s: f64,
+    /// From the composite's submission until the acknowledgement, of half of the recent frames at
+    /// most; null before the first.
+    frame_age_p50_ms: Option<f64>,
+    /// The same of 95 of 100 recent frames.
+    frame_age_p95_ms: Option<f64>,
+    /// What the client told last; null if it did not.
+    decode_us: Option<u32>,
+    frames_sent: u64,
+    frames_dropped: u64,
+    bytes_sent: u64,
+    frames_composited: u64,
+    frames_in_flight: u32,
+    texels_requested: u64,
+    connected_s: f64,
+}
+
+/// The service's own sums, beside the renderer's.
+#[derive(Debug, Serialize)]
+struct ServiceStats {
+    viewers: usize,
+    version: &'static str,
+    /// Of the store; the renderer's `scene_revision` follows it.
+    scene_revision: u64,
+}
+
+/// `/api/v1/stats`: the renderer's figures and the service's.
+#[derive(Debug, Serialize)]
+pub(super) struct StatsReport {
+    #[serde(flatten)]
+    render: RenderStats,
+    service: ServiceStats,
+}
+
+pub(super) async fn cells(State(context): State<Arc<StreamContext>>) -> Json<Vec<CellStats>> {
+    Json(context.frame_loop.stats().cells.clone())
+}
+
+pub(super) async fn viewers(State(context): State<Arc<StreamContext>>) -> Json<Vec<ViewerReport>> {
+    let stats = context.frame_loop.stats();
+    let reports = context
+        .viewers
+        .all()
+        .iter()
+        .map(|viewer| report_of(viewer, &stats))
+        .collect();
+    Json(reports)
+}
+
+pub(super) async fn stats(State(context): State<Arc<StreamContext>>) -> Json<StatsReport> {
+    Json(StatsReport {
+        render: RenderStats::clone(&context.frame_loop.stats()),
+        service: ServiceStats {
+            viewers: context.viewers.count(),
+            version: env!("CARGO_PKG_VERSION"),
+            scene_revision: context.scene.snapshot().revision,
+        },
+    })
+}
+
+fn report_of(viewer: &Viewer, stats: &RenderStats) -> ViewerReport {
+    let view = viewer.view();
+    let rendered = stats.viewers.iter().find(|known| known.id == viewer.id());
+    let figures = viewer.figures();
+    let age = figures.frame_age();
+    ViewerReport {
+        id: viewer.id(),
+        cell: rendered.map(|known| known.cell),
+        width: view.size.width(),
+        height: view.size.height(),
+        codec: view.codec,
+        jpeg_quality: view.jpeg_quality,
+        renderer: view.renderer,
+        fps_wanted: view.fps,
+        fps: figures.fps,
+        mbit_per_s: figures.mbit_per_s,
+        frame_age_p50_ms: age.map(|age| age.p50_ms),
+        frame_age_p95_ms: age.map(|age| age.p95_ms),
+        decode_us: figures.decode_us,
+        frames_sent: figures.frames_sent,
+        frames_dropped: figures.frames_dropped,
+        bytes_sent: figures.bytes_sent,
+        frames_composited: rendered.map_or(0, |known| known.frames_composited),
+        frames_in_flight: rendered.map_or(0, |known| known.frames_in_flight),
+        texels_requested: rendered.map_or(0, |known| known.texels_requested),
+        connected_s: viewer.connected().elapsed().as_secs_f64(),
+    }
+}

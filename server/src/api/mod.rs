@@ -1,0 +1,139 @@
+//! The HTTP interface: the scene, figures, health, the page, and the way to `/ws`.
+
+mod figures;
+mod page;
+mod problem;
+mod scene;
+
+use std::any::Any;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::extract::State;
+use axum::http::header::{
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
+    X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+};
+use axum::http::{HeaderMap, StatusCode};
+use axum::middleware::map_response;
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::limit::RequestBodyLimitLayer;
+use tower_http::set_header::SetResponseHeaderLayer;
+use tower_http::timeout::TimeoutLayer;
+use tower_http::trace::TraceLayer;
+
+pub use problem::Problem;
+
+use crate::stream::{self, StreamContext};
+
+/// The largest body of a request. The default scene has 1 KB, one with four layers 2 KB.
+pub const BODY_MAX_BYTES: usize = 64 * 1024;
+
+/// How long a request may take, its body included.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// The page loads its own modules and pictures, and talks to its own server.
+const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
+     img-src 'self' blob: data:; connect-src 'self'; manifest-src 'self'; base-uri 'none'; \
+     form-action 'none'; frame-ancestors 'none'";
+
+/// Every route of the service.
+pub fn router(context: Arc<StreamContext>) -> Router {
+    let router = Router::new()
+        .route("/ws", get(stream::upgrade))
+        .route("/api/v1/scene", get(scene::get).patch(scene::patch))
+        .route("/api/v1/cells", get(figures::cells))
+        .route("/api/v1/viewers", get(figures::viewers))
+        .route("/api/v1/stats", get(figures::stats))
+        .route("/metrics", get(metrics))
+        .route("/livez", get(live))
+        .route("/readyz", get(ready))
+        .fallback(page::serve)
+        .method_not_allowed_fallback(method_not_allowed)
+        .with_state(context)
+        .layer(RequestBodyLimitLayer::new(BODY_MAX_BYTES))
+        .layer(TimeoutLayer::with_status_code(
+            StatusCode::REQUEST_TIMEOUT,
+            REQUEST_TIMEOUT,
+        ))
+        .layer(CatchPanicLayer::custom(after_panic))
+        .layer(map_response(problem::unify));
+    security_headers()
+        .into_iter()
+        .fold(router, |router, (name, value)| {
+            router.layer(SetResponseHeaderLayer::if_not_present(name, value))
+        })
+        .layer(TraceLayer::new_for_http())
+}
+
+fn security_headers() -> [(HeaderName, HeaderValue); 6] {
+    [
+        (X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")),
+        (X_FRAME_OPTIONS, HeaderValue::from_static("DENY")),
+        (REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
+        (
+            CONTENT_SECURITY_POLICY,
+            HeaderValue::from_static(CONTENT_POLICY),
+        ),
+        (
+            HeaderName::from_static("cross-origin-resource-policy"),
+            HeaderValue::from_static("same-origin"),
+        ),
+        // Nothing here stays true for long; what may be kept says so itself, with an ETag.
+        (CACHE_CONTROL, HeaderValue::from_static("no-cache")),
+    ]
+}
+
+fn after_panic(panic: Box<dyn Any + Send + 'static>) -> Response {
+    let reason = panic
+        .downcast_ref::<String>()
+        .map(String::as_str)
+        .or_else(|| panic.downcast_ref::<&str>().copied())
+        .unwrap_or("unknown");
+    tracing::error!(reason, "a request handler panicked");
+    Problem::new(
+        StatusCode::INTERNAL_SERVER_ERROR,
+        "the server failed; its log tells why",
+    )
+    .into_response()
+}
+
+async fn method_not_allowed() -> Problem {
+    Problem::new(
+        StatusCode::METHOD_NOT_ALLOWED,
+        "the header Allow lists the methods of this resource",
+    )
+}
+
+/// The process runs.
+async fn live() -> &'static str {
+    "ok\n"
+}
+
+/// The renderer has warmed up and runs, and the service is not shutting down.
+async fn ready(State(context): State<Arc<StreamContext>>) -> Result<&'static str, Problem> {
+    let unready = |why| Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, why));
+    if context.shutdown.is_cancelled() {
+        unready("the server is shutting down")
+    } else if !context.frame_loop.is_ready() {
+        unready("the renderer is not ready")
+    } else {
+        Ok("ok\n")
+    }
+}
+
+async fn metrics(State(context): State<Arc<StreamContext>>) -> impl IntoResponse {
+    let stats = context.frame_loop.stats();
+    let mut headers = HeaderMap::new();
+    headers.insert(
+        CONTENT_TYPE,
+        HeaderValue::from_static("text/plain; version=0.0.4; charset=utf-8"),
+    );
+    (
+        headers,
+        context.metrics.render(context.viewers.count(), &stats),
+    )
+}

@@ -1,0 +1,181 @@
+//! `/api/v1/scene`: the scene document, its revision as ETag, changes as merge patches.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Bytes;
+use axum::extract::State;
+use axum::extract::rejection::BytesRejection;
+use axum::http::header::{
+    ACCEPT, CONTENT_TYPE, ETAG, HeaderName, HeaderValue, IF_MATCH, IF_NONE_MATCH,
+};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use serde_json::Value;
+
+use super::Problem;
+use crate::scene::{Precondition, ScenePatchError, SceneSnapshot};
+use crate::stream::StreamContext;
+
+const MERGE_PATCH: &str = "application/merge-patch+json";
+const ACCEPT_PATCH: HeaderName = HeaderName::from_static("accept-patch");
+
+/// The whole document.
+pub(super) async fn get(State(context): State<Arc<StreamContext>>, headers: HeaderMap) -> Response {
+    let snapshot = context.scene.snapshot();
+    let tag = tag_of(snapshot.revision);
+    let is_known = headers
+        .get_all(IF_NONE_MATCH)
+        .iter()
+        .filter_map(|header| header.to_str().ok())
+        .flat_map(|list| list.split(','))
+        .map(|item| item.trim().trim_start_matches("W/"))
+        .any(|item| item == "*" || item == tag);
+    if is_known {
+        return (StatusCode::NOT_MODIFIED, [(ETAG, tag)]).into_response();
+    }
+    document(&snapshot)
+}
+
+/// Changes the document.
+pub(super) async fn patch(
+    State(context): State<Arc<StreamContext>>,
+    headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Result<Response, Problem> {
+    check_content_type(&headers)?;
+    let precondition = read_precondition(&headers)?;
+    let body = body.map_err(|rejection| Problem::new(rejection.status(), rejection.body_text()))?;
+    let patch: Value = serde_json::from_slice(&body).map_err(|error| {
+        Problem::new(
+            StatusCode::BAD_REQUEST,
+            format!("the patch is not JSON: {error}"),
+        )
+    })?;
+    let scene = Arc::clone(&context.scene);
+    // Waits for the disk, which may be slow.
+    let result = tokio::task::spawn_blocking(move || scene.patch(&precondition, &patch)).await;
+    match result {
+        Ok(Ok(snapshot)) => {
+            tracing::info!(revision = snapshot.revision, "scene patched");
+            Ok(document(&snapshot))
+        }
+        Ok(Err(error)) => Err(problem_of(error)),
+        Err(error) => {
+            tracing::error!(%error, "patching the scene failed");
+            Err(Problem::new(
+                StatusCode::INTERNAL_SERVER_ERROR,
+                "the server failed; its log tells why",
+            ))
+        }
+    }
+}
+
+fn document(snapshot: &SceneSnapshot) -> Response {
+    (
+        [
+            (ETAG, tag_of(snapshot.revision)),
+            (ACCEPT_PATCH, MERGE_PATCH.to_owned()),
+        ],
+        Json(snapshot.scene.to_document()),
+    )
+        .into_response()
+}
+
+fn tag_of(revision: u64) -> String {
+    format!("\"{revision}\"")
+}
+
+fn check_content_type(headers: &HeaderMap) -> Result<(), Problem> {
+    let essence = headers
+        .get(CONTENT_TYPE)
+        .and_then(|header| header.to_str().ok())
+        .and_then(|text| text.split(';').next())
+        .unwrap_or_default()
+        .trim();
+    if essence.eq_ignore_ascii_case(MERGE_PATCH) {
+        return Ok(());
+    }
+    let found = if essence.is_empty() { "none" } else { essence };
+    Err(Problem::new(
+        StatusCode::UNSUPPORTED_MEDIA_TYPE,
+        format!("Content-Type must be {MERGE_PATCH}; found: {found}"),
+    )
+    .with_header(ACCEPT_PATCH, HeaderValue::from_static(MERGE_PATCH))
+    .with_header(ACCEPT, HeaderValue::from_static(MERGE_PATCH)))
+}
+
+fn read_precondition(headers: &HeaderMap) -> Result<Precondition, Problem> {
+    if !headers.contains_key(IF_MATCH) {
+        return Err(Problem::new(
+            StatusCode::PRECONDITION_REQUIRED,
+            "send the ETag of the scene that you have seen as If-Match, or * to overwrite whatever \
+             there is",
+        ));
+    }
+    let mut revisions = Vec::new();
+    for header in headers.get_all(IF_MATCH) {
+        for item in header.to_str().unwrap_or_default().split(',') {
+            let item = item.trim();
+            if item == "*" {
+                return Ok(Precondition::Any);
+            }
+            // A tag that is none of ours (weak, or of something else) matches nothing.
+            if let Some(revision) = item
+                .strip_prefix('"')
+                .and_then(|rest| rest.strip_suffix('"'))
+                .and_then(|number| number.parse().ok())
+            {
+                revisions.push(revision);
+            }
+        }
+    }
+    Ok(Precondition::OneOf(revisions))
+}
+
+fn problem_of(error: ScenePatchError) -> Problem {
+    match error {
+        ScenePatchError::Stale { current } => {
+            let problem = Problem::new(
+                StatusCode::PRECONDITION_FAILED,
+                format!("the scene has changed: its ETag is {}", tag_of(current)),
+            );
+            match HeaderValue::from_str(&tag_of(current)) {
+                Ok(tag) => problem.with_header(ETAG, tag),
+                Err(_) => problem,
+            }
+        }
+        ScenePatchError::Invalid(error) => Problem::bad_value(error),
+        ScenePatchError::NotKept(error) => {
+            tracing::error!(%error, "the scene cannot be kept");
+            Problem::new(
+                StatusCode::INTERNAL_SERVER_ERROR,
+                "the scene cannot be written to disk, so it was not changed; the server's log \
+                 tells why",
+            )
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn precondition(values: &[&'static str]) -> Option<Precondition> {
+        let mut headers = HeaderMap::new();
+        for value in values {
+            headers.append(IF_MATCH, HeaderValue::from_static(value));
+        }
+        read_precondition(&headers).ok()
+    }
+
+    #[test]
+    fn if_match_lists_revisions_and_weak_tags_match_nothing() {
+        assert_eq!(precondition(&[]), None);
+        assert_eq!(precondition(&["*"]), Some(Precondition::Any));
+        assert_eq!(
+            precondition(&["\"3\", \"5\"", "W/\"7\", \"x\", 9"]),
+            Some(Precondition::OneOf(vec![3, 5]))
+        );
+    }
+}

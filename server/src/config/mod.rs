@@ -1,0 +1,320 @@
+//! The configuration of the service: a TOML file, over it the environment (`SKYCELL_...`), over
+//! it the flags of the command line. Unknown keys are refused with the nearest known one.
+
+mod sources;
+#[cfg(test)]
+mod tests;
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+
+use serde::Serialize;
+use serde_json::Value;
+use skycell_protocol::camera::{POSITION_ALTITUDE_M, POSITION_HORIZONTAL_M};
+use skycell_protocol::number_range::NumberRange;
+use skycell_protocol::read_json::{ObjectReader, ReadJson, read_name};
+use skycell_protocol::value_error::ValueError;
+
+pub use sources::{ConfigError, Flags};
+
+/// How many viewers may be connected at once.
+pub const VIEWERS_MAX: NumberRange = NumberRange::new(1.0, 1024.0);
+/// How many threads may encode frames.
+pub const ENCODER_THREADS: NumberRange = NumberRange::new(1.0, 64.0);
+/// After how long without progress a viewer is dropped.
+pub const VIEWER_STALL_S: NumberRange = NumberRange::new(1.0, 3600.0);
+/// How many view cells may be placed by hand.
+pub const CELLS_MAX: usize = 64;
+/// How many characters the name of a cell may have; at least one.
+pub const CELL_NAME_MAX_CHARS: usize = 32;
+/// The radius of a cell.
+pub const CELL_RADIUS_M: NumberRange = NumberRange::new(1.0, 1.0e6);
+/// Halvings of the caches' resolution below that of the screen.
+pub const MIP_BIAS: NumberRange = NumberRange::new(0.0, 4.0);
+/// Jittered samples that a texel averages.
+pub const SAMPLES: NumberRange = NumberRange::new(1.0, 16.0);
+/// GPU memory for caches.
+pub const CACHE_MEMORY_MIB: NumberRange = NumberRange::new(16.0, 65_536.0);
+/// Steps of the march through the clouds.
+pub const MARCH_STEPS: NumberRange = NumberRange::new(1.0, 4096.0);
+
+/// The resolved configuration.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Config {
+    /// Address and port to listen on.
+    pub listen: SocketAddr,
+    /// Where the scene is kept.
+    pub state_dir: PathBuf,
+    /// How many viewers may be connected at once.
+    pub viewers_max: u32,
+    /// How many threads encode frames.
+    pub encoder_threads: u32,
+    /// A viewer that takes or says nothing for this long is dropped.
+    pub viewer_stall_s: f64,
+    /// Origins of other sites whose pages may open `/ws`, such as `https://example.org`. Pages of
+    /// this server and clients that are no browsers always may.
+    pub allowed_origins: Vec<String>,
+    /// What to log, as `tracing` filters are written: `info`, `skycell_server=debug`.
+    pub log: String,
+    /// The renderer's settings.
+    pub render: RenderConfig,
+    /// View cells placed by hand.
+    pub cells: Vec<PlacedCell>,
+}
+
+/// The renderer's settings: section `[render]`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RenderConfig {
+    /// Halvings of the caches' resolution below that of the screen, 0 to 4.
+    pub mip_bias: f32,
+    /// Jittered samples that a texel averages, 1 to 16.
+    pub samples: u32,
+    /// GPU memory for caches.
+    pub cache_memory_mib: u32,
+    /// Steps of the march through the clouds.
+    pub march_steps: u32,
+    /// How caches are read for a frame.
+    pub frame_filter: FrameFilter,
+    /// Where noise volumes are kept between runs.
+    pub noise_cache_dir: PathBuf,
+}
+
+/// How caches are read for a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FrameFilter {
+    /// Sharp, 16 texels.
+    #[default]
+    CatmullRom,
+    /// Soft, 4 texels.
+    Bilinear,
+}
+
+/// A view cell placed by hand: section `[[cells]]`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PlacedCell {
+    /// What people call it; no other cell has the same name.
+    pub name: String,
+    /// Its reference point: x, altitude, z.
+    pub center_m: [f64; 3],
+    /// Viewers within this distance belong to it.
+    pub radius_m: f64,
+}
+
+impl RenderConfig {
+    /// The defaults of a server that keeps its noise in `noise_cache_dir`.
+    pub fn new(noise_cache_dir: PathBuf) -> Self {
+        Self {
+            mip_bias: 0.0,
+            samples: 8,
+            cache_memory_mib: 256,
+            march_steps: 96,
+            frame_filter: FrameFilter::default(),
+            noise_cache_dir,
+        }
+    }
+
+    fn read(value: &Value, default: Self) -> Result<Self, ValueError> {
+        let members = ObjectReader::new(value, "/render")?;
+        members.only(&[
+            "mip_bias",
+            "samples",
+            "cache_memory_mib",
+            "march_steps",
+            "frame_filter",
+            "noise_cache_dir",
+        ])?;
+        Ok(Self {
+            mip_bias: number(&members, "mip_bias", MIP_BIAS, f64::from(default.mip_bias))? as f32,
+            samples: count(&members, "samples", SAMPLES, default.samples)?,
+            cache_memory_mib: count(
+                &members,
+                "cache_memory_mib",
+                CACHE_MEMORY_MIB,
+                default.cache_memory_mib,
+            )?,
+            march_steps: count(&members, "march_steps", MARCH_STEPS, default.march_steps)?,
+            frame_filter: members.member_or("frame_filter", default.frame_filter)?,
+            noise_cache_dir: members
+                .optional::<String>("noise_cache_dir")?
+                .map_or(default.noise_cache_dir, PathBuf::from),
+        })
+    }
+}
+
+impl ReadJson for FrameFilter {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        read_name(
+            value,
+            pointer,
+            &[
+                ("catmull-rom", Self::CatmullRom),
+                ("bilinear", Self::Bilinear),
+            ],
+        )
+    }
+}
+
+impl ReadJson for PlacedCell {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        let members = ObjectReader::new(value, pointer)?;
+        members.only(&["name", "center_m", "radius_m"])?;
+        let name: String = members.required("name", "a name")?;
+        if name.is_empty() || name.chars().count() > CELL_NAME_MAX_CHARS {
+            return Err(ValueError::new(
+                members.pointer_of("name"),
+                &Value::from(name),
+                format!("1 to {CELL_NAME_MAX_CHARS} characters"),
+            ));
+        }
+        let center_m: [f64; 3] = members.required("center_m", "an array of 3 numbers")?;
+        let center_pointer = members.pointer_of("center_m");
+        POSITION_HORIZONTAL_M.check(&format!("{center_pointer}/0"), center_m[0])?;
+        POSITION_ALTITUDE_M.check(&format!("{center_pointer}/1"), center_m[1])?;
+        POSITION_HORIZONTAL_M.check(&format!("{center_pointer}/2"), center_m[2])?;
+        Ok(Self {
+            name,
+            center_m,
+            radius_m: CELL_RADIUS_M.check(
+                &members.pointer_of("radius_m"),
+                members.required("radius_m", &CELL_RADIUS_M.to_string())?,
+            )?,
+        })
+    }
+}
+
+impl Config {
+    /// The keys of the file's top level.
+    const KEYS: &[&str] = &[
+        "listen",
+        "state_dir",
+        "viewers_max",
+        "encoder_threads",
+        "viewer_stall_s",
+        "allowed_origins",
+        "log",
+        "render",
+        "cells",
+    ];
+
+    /// The defaults of a server that keeps its state in `state_dir`.
+    pub fn new(state_dir: PathBuf) -> Self {
+        let cores = std::thread::available_parallelism().map_or(2, usize::from);
+        Self {
+            listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8080)),
+            viewers_max: 64,
+            // More than eight would starve whatever feeds them.
+            encoder_threads: cores.clamp(1, 8) as u32,
+            viewer_stall_s: 30.0,
+            allowed_origins: Vec::new(),
+            log: "info".to_owned(),
+            render: RenderConfig::new(state_dir.join("cache")),
+            cells: Vec::new(),
+            state_dir,
+        }
+    }
+
+    /// Reads a configuration in which keys may be missing. `default_state_dir` is where the state
+    /// is kept if the configuration does not tell.
+    ///
+    /// # Errors
+    /// Names an unknown key or the first value that is not allowed.
+    pub fn from_json(value: &Value, default_state_dir: PathBuf) -> Result<Self, ValueError> {
+        let members = ObjectReader::new(value, "")?;
+        members.only(Self::KEYS)?;
+        let state_dir = members
+            .optional::<String>("state_dir")?
+            .map_or(default_state_dir, PathBuf::from);
+        let default = Self::new(state_dir);
+        Ok(Self {
+            listen: read_listen(&members)?.unwrap_or(default.listen),
+            viewers_max: count(&members, "viewers_max", VIEWERS_MAX, default.viewers_max)?,
+            encoder_threads: count(
+                &members,
+                "encoder_threads",
+                ENCODER_THREADS,
+                default.encoder_threads,
+            )?,
+            viewer_stall_s: number(
+                &members,
+                "viewer_stall_s",
+                VIEWER_STALL_S,
+                default.viewer_stall_s,
+            )?,
+            allowed_origins: members.member_or("allowed_origins", default.allowed_origins)?,
+            log: members.member_or("log", default.log)?,
+            render: match members.optional::<Value>("render")? {
+                Some(render) => RenderConfig::read(&render, default.render)?,
+                None => default.render,
+            },
+            cells: read_cells(&members)?,
+            state_dir: default.state_dir,
+        })
+    }
+
+    /// Logs the whole configuration and what in the environment looks like ours and is not;
+    /// called once at start.
+    pub fn log(&self) {
+        for (variable, nearest) in sources::unknown_variables() {
+            tracing::warn!(%variable, nearest, "unknown environment variable");
+        }
+        match serde_json::to_string(self) {
+            Ok(text) => tracing::info!(config = %text, "configuration"),
+            Err(error) => tracing::warn!(%error, "the configuration cannot be written as JSON"),
+        }
+    }
+}
+
+fn read_listen(members: &ObjectReader<'_>) -> Result<Option<SocketAddr>, ValueError> {
+    members
+        .optional::<String>("listen")?
+        .map(|text| {
+            text.parse().map_err(|_| {
+                ValueError::new(
+                    "/listen",
+                    &Value::from(text),
+                    "ADDRESS:PORT, such as 127.0.0.1:8080 or [::1]:8080",
+                )
+            })
+        })
+        .transpose()
+}
+
+fn read_cells(members: &ObjectReader<'_>) -> Result<Vec<PlacedCell>, ValueError> {
+    let cells: Vec<PlacedCell> = members.member_or("cells", Vec::new())?;
+    if cells.len() > CELLS_MAX {
+        return Err(ValueError::new(
+            "/cells",
+            &Value::from(format!("{} cells", cells.len())),
+            format!("0 to {CELLS_MAX} cells"),
+        ));
+    }
+    for (index, cell) in cells.iter().enumerate() {
+        if cells[..index].iter().any(|other| other.name == cell.name) {
+            return Err(ValueError::new(
+                format!("/cells/{index}/name"),
+                &Value::from(cell.name.as_str()),
+                "a name that no other cell has",
+            ));
+        }
+    }
+    Ok(cells)
+}
+
+fn number(
+    members: &ObjectReader<'_>,
+    key: &str,
+    range: NumberRange,
+    default: f64,
+) -> Result<f64, ValueError> {
+    range.check(&members.pointer_of(key), members.member_or(key, default)?)
+}
+
+fn count(
+    members: &ObjectReader<'_>,
+    key: &str,
+    range: NumberRange,
+    default: u32,
+) -> Result<u32, ValueError> {
+    range.check_u32(&members.pointer_of(key), members.member_or(key, default)?)
+}

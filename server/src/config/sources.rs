@@ -1,0 +1,237 @@
+//! Where the configuration comes from and in which order: file, environment, flags.
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Map, Value};
+use skycell_protocol::read_json::nearest_name;
+use skycell_protocol::value_error::ValueError;
+use thiserror::Error;
+
+use super::Config;
+
+/// What names of environment variables begin with.
+const PREFIX: &str = "SKYCELL_";
+
+/// The variable that names the file, unless a flag does.
+const FILE_VARIABLE: &str = "SKYCELL_CONFIG";
+
+/// How the text of a variable becomes a value.
+#[derive(Clone, Copy)]
+enum Kind {
+    Text,
+    Number,
+    /// Separated by commas.
+    List,
+}
+
+/// The keys that the environment can set. `render/samples` is `SKYCELL_RENDER_SAMPLES`.
+const KEYS: &[(&str, Kind)] = &[
+    ("listen", Kind::Text),
+    ("state_dir", Kind::Text),
+    ("viewers_max", Kind::Number),
+    ("encoder_threads", Kind::Number),
+    ("viewer_stall_s", Kind::Number),
+    ("allowed_origins", Kind::List),
+    ("log", Kind::Text),
+    ("render/mip_bias", Kind::Number),
+    ("render/samples", Kind::Number),
+    ("render/cache_memory_mib", Kind::Number),
+    ("render/march_steps", Kind::Number),
+    ("render/frame_filter", Kind::Text),
+    ("render/noise_cache_dir", Kind::Text),
+];
+
+/// What the command line says; it has the last word.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Flags {
+    /// `--listen`
+    pub listen: Option<SocketAddr>,
+    /// `--state`
+    pub state_dir: Option<PathBuf>,
+    /// `--config`
+    pub file: Option<PathBuf>,
+}
+
+/// Why there is no configuration.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read the configuration file {path}: {error}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        error: std::io::Error,
+    },
+    /// The file is not TOML.
+    #[error("the configuration file {path} is not TOML: {message}")]
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// Where and why not.
+        message: String,
+    },
+    /// A key is unknown or a value is not allowed.
+    #[error("configuration from {origin}: {error}")]
+    Value {
+        /// The file, the environment or the flags.
+        origin: String,
+        /// Which value, and what is allowed.
+        error: ValueError,
+    },
+    /// A path that is not UTF-8.
+    #[error("the path {0:?} is not UTF-8")]
+    Path(PathBuf),
+}
+
+impl Config {
+    /// The configuration of this process: `flags` over its environment over the file.
+    ///
+    /// # Errors
+    /// Says which source is wrong, and where.
+    pub fn load(flags: &Flags) -> Result<Self, ConfigError> {
+        // A variable that is not UTF-8 is none of ours.
+        let variables = std::env::vars_os()
+            .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
+            .filter(|(name, _)| name.starts_with(PREFIX))
+            .collect::<Vec<_>>();
+        Self::resolve(flags, &variables)
+    }
+
+    /// As [`Config::load`], with the environment as a value.
+    ///
+    /// # Errors
+    /// Says which source is wrong, and where.
+    pub fn resolve(flags: &Flags, variables: &[(String, String)]) -> Result<Self, ConfigError> {
+        let mut tree = Map::new();
+        let file = flags.file.clone().or_else(|| {
+            variables
+                .iter()
+                .find(|(name, _)| name == FILE_VARIABLE)
+                .map(|(_, value)| PathBuf::from(value))
+        });
+        let mut config = None;
+        if let Some(path) = file {
+            tree = read_file(&path)?;
+            config = Some(check(&tree, || format!("file {}", path.display()))?);
+        }
+        if set_from_environment(&mut tree, variables) || config.is_none() {
+            config = Some(check(&tree, || format!("the environment ({PREFIX}...)"))?);
+        }
+        if set_from_flags(&mut tree, flags)? {
+            config = Some(check(&tree, || "the command line".to_owned())?);
+        }
+        // Set above: without a file the second step always does.
+        config.map_or_else(|| check(&tree, String::new), Ok)
+    }
+}
+
+fn check(tree: &Map<String, Value>, origin: impl Fn() -> String) -> Result<Config, ConfigError> {
+    Config::from_json(&Value::Object(tree.clone()), default_state_dir()).map_err(|error| {
+        ConfigError::Value {
+            origin: origin(),
+            error,
+        }
+    })
+}
+
+/// The user's own place for state, or a folder here if the system knows none.
+fn default_state_dir() -> PathBuf {
+    directories::ProjectDirs::from("", "", "skycell").map_or_else(
+        || PathBuf::from("skycell-state"),
+        |dirs| {
+            dirs.state_dir()
+                .unwrap_or_else(|| dirs.data_local_dir())
+                .to_owned()
+        },
+    )
+}
+
+fn read_file(path: &Path) -> Result<Map<String, Value>, ConfigError> {
+    let text = std::fs::read_to_string(path).map_err(|error| ConfigError::Read {
+        path: path.to_owned(),
+        error,
+    })?;
+    toml::from_str(&text).map_err(|error| ConfigError::Syntax {
+        path: path.to_owned(),
+        message: error.to_string(),
+    })
+}
+
+fn variable_of(key: &str) -> String {
+    format!("{PREFIX}{}", key.replace('/', "_").to_uppercase())
+}
+
+/// The variables of this process that look like ours and are not, each with the known one that
+/// was most likely meant. They are not refused: orchestrators put their own there (Kubernetes:
+/// `SKYCELL_SERVICE_HOST` for a service called skycell).
+pub(super) fn unknown_variables() -> Vec<(String, Option<String>)> {
+    let known: Vec<String> = KEYS.iter().map(|(key, _)| variable_of(key)).collect();
+    let known: Vec<&str> = known.iter().map(String::as_str).collect();
+    std::env::vars_os()
+        .filter_map(|(name, _)| name.into_string().ok())
+        .filter(|name| name.starts_with(PREFIX) && name != FILE_VARIABLE)
+        .filter(|name| !known.contains(&name.as_str()))
+        .map(|name| {
+            let nearest = nearest_name(&name, &known).map(str::to_owned);
+            (name, nearest)
+        })
+        .collect()
+}
+
+/// Whether a variable has set something.
+fn set_from_environment(tree: &mut Map<String, Value>, variables: &[(String, String)]) -> bool {
+    let mut has_set = false;
+    for (name, text) in variables {
+        let Some((key, kind)) = KEYS.iter().find(|(key, _)| variable_of(key) == *name) else {
+            continue;
+        };
+        let value = match kind {
+            Kind::Text => Value::from(text.as_str()),
+            // What is no number stays text and is refused as such.
+            Kind::Number => serde_json::from_str::<serde_json::Number>(text.trim())
+                .map_or_else(|_| Value::from(text.as_str()), Value::Number),
+            Kind::List => text
+                .split(',')
+                .map(str::trim)
+                .filter(|item| !item.is_empty())
+                .collect(),
+        };
+        set(tree, key, value);
+        has_set = true;
+    }
+    has_set
+}
+
+fn set_from_flags(tree: &mut Map<String, Value>, flags: &Flags) -> Result<bool, ConfigError> {
+    if let Some(listen) = flags.listen {
+        set(tree, "listen", Value::from(listen.to_string()));
+    }
+    if let Some(path) = &flags.state_dir {
+        let text = path
+            .to_str()
+            .ok_or_else(|| ConfigError::Path(path.clone()))?;
+        set(tree, "state_dir", Value::from(text));
+    }
+    Ok(flags.listen.is_some() || flags.state_dir.is_some())
+}
+
+/// Sets `key` or `section/key`.
+fn set(tree: &mut Map<String, Value>, key: &str, value: Value) {
+    match key.split_once('/') {
+        None => {
+            tree.insert(key.to_owned(), value);
+        }
+        Some((section, key)) => {
+            let section = tree
+                .entry(section)
+                .or_insert_with(|| Value::Object(Map::new()));
+            // A section of another type was refused when the file was checked.
+            if let Value::Object(section) = section {
+                section.insert(key.to_owned(), value);
+            }
+        }
+    }
+}

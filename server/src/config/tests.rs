@@ -1,0 +1,141 @@
+use std::io::Write;
+
+use super::*;
+
+fn file(text: &str) -> tempfile::NamedTempFile {
+    let mut file = tempfile::NamedTempFile::new().expect("a temporary file");
+    file.write_all(text.as_bytes()).expect("written");
+    file
+}
+
+fn variables(list: &[(&str, &str)]) -> Vec<(String, String)> {
+    list.iter()
+        .map(|(name, value)| ((*name).to_owned(), (*value).to_owned()))
+        .collect()
+}
+
+fn resolve(text: &str, environment: &[(&str, &str)]) -> Result<Config, ConfigError> {
+    let file = file(text);
+    let flags = Flags {
+        file: Some(file.path().to_owned()),
+        ..Flags::default()
+    };
+    Config::resolve(&flags, &variables(environment))
+}
+
+#[test]
+fn flags_beat_the_environment_and_the_environment_beats_the_file() {
+    let file =
+        file("listen = '127.0.0.1:1'\nviewers_max = 2\n[render]\nsamples = 4\nmip_bias = 1\n");
+    let environment = variables(&[
+        ("SKYCELL_LISTEN", "127.0.0.1:2"),
+        ("SKYCELL_RENDER_SAMPLES", "5"),
+        (
+            "SKYCELL_ALLOWED_ORIGINS",
+            "https://a.example, https://b.example",
+        ),
+        ("SKYCELL_CONFIG", file.path().to_str().expect("UTF-8")),
+    ]);
+    let flags = Flags {
+        listen: Some(SocketAddr::from(([127, 0, 0, 1], 3))),
+        state_dir: Some(PathBuf::from("state")),
+        file: None,
+    };
+    let config = Config::resolve(&flags, &environment).expect("resolves");
+    assert_eq!(config.listen.port(), 3);
+    assert_eq!(config.viewers_max, 2);
+    assert_eq!((config.render.samples, config.render.mip_bias), (5, 1.0));
+    assert_eq!(config.state_dir, PathBuf::from("state"));
+    assert_eq!(config.render.noise_cache_dir, PathBuf::from("state/cache"));
+    assert_eq!(
+        config.allowed_origins,
+        ["https://a.example", "https://b.example"]
+    );
+}
+
+#[test]
+fn nothing_configured_is_the_default_on_the_loopback_interface() {
+    let config = Config::resolve(&Flags::default(), &[]).expect("resolves");
+    assert_eq!(config.listen.to_string(), "127.0.0.1:8080");
+    assert_eq!(config, Config::new(config.state_dir.clone()));
+}
+
+#[test]
+fn unknown_keys_are_refused_with_the_nearest_known_one() {
+    for (text, pointer, nearest) in [
+        ("lisen = 'x'", "/lisen", "listen"),
+        ("[render]\nmipbias = 1", "/render/mipbias", "mip_bias"),
+        (
+            "[[cells]]\nname='a'\ncentre_m=[0,0,0]\nradius_m=5",
+            "/cells/0/centre_m",
+            "center_m",
+        ),
+    ] {
+        let message = resolve(text, &[]).expect_err("unknown").to_string();
+        assert!(message.contains(pointer), "{message}");
+        assert!(
+            message.contains(&format!("did you mean \"{nearest}\"")),
+            "{message}"
+        );
+    }
+}
+
+#[test]
+fn a_bad_value_is_told_with_its_source_and_what_is_allowed() {
+    for (text, environment, parts) in [
+        (
+            "viewers_max = 0",
+            vec![],
+            ["file ", "/viewers_max is 0; allowed: 1 to 1024"],
+        ),
+        (
+            "[render]\nsamples = 17",
+            vec![],
+            ["file ", "/render/samples is 17; allowed: 1 to 16"],
+        ),
+        (
+            "render = 3",
+            vec![],
+            ["file ", "/render is 3; allowed: an object"],
+        ),
+        (
+            "",
+            vec![("SKYCELL_RENDER_MIP_BIAS", "much")],
+            ["environment", "/render/mip_bias is \"much\""],
+        ),
+        (
+            "",
+            vec![("SKYCELL_LISTEN", "8080")],
+            ["environment", "/listen is \"8080\"; allowed: ADDRESS:PORT"],
+        ),
+        (
+            "[[cells]]\nname='a'\ncenter_m=[0,-1,0]\nradius_m=5",
+            vec![],
+            ["file ", "/cells/0/center_m/1 is -1"],
+        ),
+        (
+            "[[cells]]\nname='a'\ncenter_m=[0,0,0]\nradius_m=5\n[[cells]]\nname='a'\ncenter_m=[0,0,0]\nradius_m=5",
+            vec![],
+            ["file ", "/cells/1/name"],
+        ),
+        ("a = ", vec![], ["is not TOML", "line 1"]),
+    ] {
+        let message = resolve(text, &environment).expect_err("bad").to_string();
+        for part in parts {
+            assert!(message.contains(part), "{message}");
+        }
+    }
+    let missing = Flags {
+        file: Some(PathBuf::from("no/such/file.toml")),
+        ..Flags::default()
+    };
+    let message = Config::resolve(&missing, &[])
+        .expect_err("missing")
+        .to_string();
+    assert!(message.contains("no/such/file.toml"), "{message}");
+}
+
+#[test]
+fn a_variable_of_somebody_else_does_no_harm() {
+    assert!(resolve("", &[("SKYCELL_SERVICE_HOST", "10.0.0.1")]).is_ok());
+}

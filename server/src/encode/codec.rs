@@ -1,0 +1,77 @@
+//! One picture in one format.
+
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use skycell_protocol::{Codec, FrameSize};
+use thiserror::Error;
+
+/// Why pixels are not a picture.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum EncodeError {
+    /// The pixels are not as many as the size tells.
+    #[error("{found} bytes of pixels for a frame of {width}x{height}, which has {expected}")]
+    WrongLength {
+        /// How many there are.
+        found: usize,
+        /// How many there should be.
+        expected: usize,
+        /// Pixels in a row.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
+    /// The JPEG encoder refuses.
+    #[error("JPEG: {0}")]
+    Jpeg(#[from] jpeg_encoder::EncodingError),
+    /// The PNG encoder refuses.
+    #[error("PNG: {0}")]
+    Png(#[from] image::ImageError),
+    /// The picture is longer than a frame header can tell.
+    #[error("a picture of {0} bytes is too long")]
+    TooLong(usize),
+}
+
+/// Appends the picture of `rgba` (rows from top to bottom, 4 bytes a pixel) to `out`. Reads the
+/// pixels once and copies none: they may be mapped GPU memory.
+///
+/// # Errors
+/// If the pixels do not fit the size or the codec refuses them.
+pub fn encode_after(
+    out: &mut Vec<u8>,
+    rgba: &[u8],
+    size: FrameSize,
+    codec: Codec,
+    jpeg_quality: u8,
+) -> Result<(), EncodeError> {
+    let (width, height) = (size.width(), size.height());
+    let expected = size.pixels() as usize * 4;
+    if rgba.len() != expected {
+        return Err(EncodeError::WrongLength {
+            found: rgba.len(),
+            expected,
+            width,
+            height,
+        });
+    }
+    match codec {
+        Codec::Jpeg => {
+            // Width and height are at most 3840 and 2160.
+            jpeg_encoder::Encoder::new(out, jpeg_quality).encode(
+                rgba,
+                width as u16,
+                height as u16,
+                jpeg_encoder::ColorType::Rgba,
+            )?;
+        }
+        Codec::Png => {
+            PngEncoder::new_with_quality(out, CompressionType::Fast, FilterType::Sub).write_image(
+                rgba,
+                width,
+                height,
+                ExtendedColorType::Rgba8,
+            )?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,438 @@
+//! When things happen: whose frame is due, how much is marched between frames, when to rest.
+
+use super::interface::{
+    FRAMES_IN_FLIGHT_MAX, FrameLoopHandle, FrameSink, RenderCommand, StatsCell,
+    render_command_channel,
+};
+use super::renderer::SkyRenderer;
+use crate::config::{PlacedCell, RenderConfig};
+use crate::gpu::{Gpu, GpuError, TimedPass};
+use skycell_protocol::{RendererKind, Scene, ViewerId};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// How often the loop looks whether the device has finished something. Short against a frame, long against a poll.
+const POLL_INTERVAL: Duration = Duration::from_millis(1);
+/// How long the loop sleeps when there is nothing to do; commands wake it.
+const IDLE_INTERVAL: Duration = Duration::from_secs(1);
+/// Share of a frame's interval that is marched while viewers move: the rest is for composites, encoders and sockets.
+const MARCH_SHARE: f64 = 0.3;
+/// Device time of one batch while nobody waits for a frame, and the longest that one may delay a frame that becomes due.
+const RESTING_BATCH: Duration = Duration::from_millis(60);
+/// A resting view that only gets sharper is sent this often.
+const REFINE_INTERVAL: Duration = Duration::from_millis(200);
+/// A viewer that has moved within this time is moving.
+const MOVING_FOR: Duration = Duration::from_millis(500);
+/// A new viewer's first frame waits this long for the coarse level at most.
+const FIRST_FRAME_WAIT: Duration = Duration::from_millis(500);
+/// The sky must have moved this share of a pixel before a resting view is composited again.
+const MOTION_PIXELS: f64 = 0.25;
+/// Figures are published this often.
+const STATS_INTERVAL: Duration = Duration::from_millis(100);
+/// Time of a tile's march before any was measured.
+const FIRST_TILE_NS: f64 = 10.0e6;
+/// Device submissions that may be under way before more is marched.
+const SUBMISSIONS_MAX: u32 = 2;
+
+/// Why a viewer's picture is out of date.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Change {
+    /// It is up to date.
+    None,
+    /// The same view became sharper.
+    Sharper,
+    /// Something else is seen.
+    Seen,
+}
+
+/// A viewer's timing.
+#[derive(Debug)]
+struct Pace {
+    joined: Instant,
+    due: Instant,
+    moved: Instant,
+    composited: Option<Instant>,
+    change: Change,
+}
+
+/// The render thread.
+pub struct FrameLoop {
+    renderer: SkyRenderer,
+    sink: Arc<dyn FrameSink>,
+    stats: Arc<StatsCell>,
+    paces: BTreeMap<ViewerId, Pace>,
+    started: Instant,
+    time: Instant,
+    stats_due: Instant,
+    ns_per_tile: f64,
+    cache_time_seen: (u64, u64),
+    was_pending: bool,
+}
+
+impl FrameLoop {
+    /// Opens the device, makes or loads the noise, warms the pipelines up and starts the thread. Ready when it returns.
+    ///
+    /// # Errors
+    /// When there is no device that can render.
+    pub fn start(
+        config: RenderConfig,
+        scene: Arc<Scene>,
+        revision: u64,
+        sink: Arc<dyn FrameSink>,
+        cells: &[PlacedCell],
+    ) -> Result<(FrameLoopHandle, JoinHandle<()>), GpuError> {
+        let gpu = Gpu::open_blocking()?;
+        let mut renderer = SkyRenderer::new(gpu, config, scene, revision, cells)?;
+        renderer.warm_up()?;
+        let (sender, commands) = render_command_channel();
+        let stats = StatsCell::new();
+        stats.publish(renderer.stats(0.0));
+        let handle = FrameLoopHandle::new(sender, stats.clone());
+        let now = Instant::now();
+        let mut frame_loop = Self {
+            renderer,
+            sink,
+            stats,
+            paces: BTreeMap::new(),
+            started: now,
+            time: now,
+            stats_due: now,
+            ns_per_tile: FIRST_TILE_NS,
+            cache_time_seen: (0, 0),
+            was_pending: false,
+        };
+        let ready = frame_loop.stats.ready();
+        let thread = std::thread::Builder::new()
+            .name("render".into())
+            .spawn(move || {
+                let _ready = ready;
+                frame_loop.run(&commands);
+            })?;
+        Ok((handle, thread))
+    }
+
+    fn run(&mut self, commands: &Receiver<RenderCommand>) {
+        let mut wait = Duration::ZERO;
+        loop {
+            match commands.recv_timeout(wait) {
+                Ok(command) => {
+                    let mut next = Some(command);
+                    while let Some(command) = next {
+                        if matches!(command, RenderCommand::Shutdown) {
+                            return;
+                        }
+                        self.apply(command);
+                        next = commands.try_recv().ok();
+                    }
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+            if let Err(error) = self.renderer.gpu.device.poll(wgpu::PollType::Poll) {
+                tracing::error!(%error, "the device was lost; the renderer ends");
+                return;
+            }
+            wait = self.tick();
+        }
+    }
+
+    fn apply(&mut self, command: RenderCommand) {
+        let now = Instant::now();
+        match command {
+            RenderCommand::Join { viewer, view } => {
+                self.renderer.join(viewer, view);
+                let pace = Pace {
+                    joined: now,
+                    due: now,
+                    moved: now,
+                    composited: None,
+                    change: Change::Seen,
+                };
+                self.paces.insert(viewer, pace);
+            }
+            RenderCommand::SetCamera {
+                viewer,
+                input,
+                camera,
+            } => {
+                self.renderer.set_camera(viewer, input, camera);
+                self.moved(viewer, now);
+            }
+            RenderCommand::SetView { viewer, view } => {
+                self.renderer.set_view(viewer, view);
+                self.moved(viewer, now);
+            }
+            RenderCommand::Acknowledge { viewer, sequence } => {
+                if let Some(viewer) = self.renderer.viewers.get_mut(&viewer) {
+                    // Cumulative, and never for a frame that was not made.
+                    let ahead = viewer.sequence.wrapping_sub(sequence.0);
+                    if ahead < viewer.frames_in_flight() {
+                        viewer.acknowledged = sequence.0;
+                    }
+                }
+            }
+            RenderCommand::Leave { viewer } => {
+                self.renderer.leave(viewer);
+                self.paces.remove(&viewer);
+            }
+            RenderCommand::SetScene { scene, revision } => {
+                if let Err(error) = self.renderer.set_scene(scene, revision) {
+                    tracing::error!(%error, revision, "the scene could not be taken over");
+                }
+                for pace in self.paces.values_mut() {
+                    pace.change = Change::Seen;
+                }
+            }
+            // `run` ends the loop before it comes here.
+            RenderCommand::Shutdown => {}
+        }
+    }
+
+    fn moved(&mut self, viewer: ViewerId, now: Instant) {
+        if let Some(pace) = self.paces.get_mut(&viewer) {
+            pace.moved = now;
+            pace.change = Change::Seen;
+        }
+    }
+
+    /// One turn; returns how long the loop may sleep.
+    fn tick(&mut self) -> Duration {
+        let now = Instant::now();
+        self.renderer.counters.ticks += 1;
+        let passed = now.duration_since(self.time);
+        self.time = now;
+        self.renderer.advance_time(passed.as_secs_f64());
+        if self.paces.is_empty() {
+            self.publish(now, true);
+            return if self.renderer.in_flight() > 0 {
+                POLL_INTERVAL
+            } else {
+                IDLE_INTERVAL
+            };
+        }
+        self.note_wind(now);
+        self.renderer.refresh_cells();
+        let due = self.due_viewers(now);
+        if !due.is_empty() {
+            for viewer in self.renderer.composite(&due, &self.sink) {
+                self.composited(viewer, now);
+            }
+        }
+        let marched = self.march(now);
+        self.publish(now, false);
+        self.next_wait(now, marched)
+    }
+
+    /// Wind moves what resting viewers see.
+    fn note_wind(&mut self, now: Instant) {
+        let wind_m_per_s = self.renderer.wind_speed_max_m_per_s();
+        if wind_m_per_s == 0.0 {
+            return;
+        }
+        let nearest_m = self
+            .renderer
+            .active
+            .iter()
+            .map(|layer| layer.proxy_altitude_m)
+            .fold(f64::INFINITY, f64::min);
+        for (id, pace) in &mut self.paces {
+            let (Some(last), Some(viewer)) = (pace.composited, self.renderer.viewers.get(id)) else {
+                continue;
+            };
+            let camera = &viewer.view.camera;
+            let pixel_rad = (camera.vertical_fov_deg().to_radians() / 2.0).tan() * 2.0
+                / f64::from(viewer.view.size.height());
+            let height_m = (nearest_m - camera.position_m()[1]).abs().max(100.0);
+            let moved_rad = wind_m_per_s * now.duration_since(last).as_secs_f64() / height_m;
+            if moved_rad > MOTION_PIXELS * pixel_rad {
+                pace.change = Change::Seen;
+            }
+        }
+    }
+
+    fn due_viewers(&self, now: Instant) -> Vec<ViewerId> {
+        self.paces
+            .iter()
+            .filter(|(id, pace)| {
+                self.renderer.viewers.get(id).is_some_and(|viewer| {
+                    // Screen-space pictures are composited when a sample is complete.
+                    viewer.view.renderer == RendererKind::Cached
+                        && viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX
+                        && self.due_at(pace).is_some_and(|due| due <= now)
+                        && (pace.composited.is_some()
+                            || now.duration_since(pace.joined) > FIRST_FRAME_WAIT
+                            || self.renderer.coarse_is_ready(viewer))
+                })
+            })
+            .map(|(id, _)| *id)
+            .collect()
+    }
+
+    fn due_at(&self, pace: &Pace) -> Option<Instant> {
+        match pace.change {
+            Change::None => None,
+            Change::Seen => Some(pace.due),
+            Change::Sharper => Some(
+                pace.composited
+                    .map_or(pace.due, |last| pace.due.max(last + REFINE_INTERVAL)),
+            ),
+        }
+    }
+
+    fn composited(&mut self, id: ViewerId, now: Instant) {
+        let Some(viewer) = self.renderer.viewers.get(&id) else {
+            return;
+        };
+        if let Some(pace) = self.paces.get_mut(&id) {
+            let interval = Duration::from_secs_f64(1.0 / viewer.view.fps);
+            // On schedule while it keeps up; a late frame starts a new schedule instead of a burst.
+            pace.due = if pace.due + interval > now {
+                pace.due + interval
+            } else {
+                now + interval
+            };
+            pace.composited = Some(now);
+            pace.change = Change::None;
+        }
+    }
+
+    /// Marches a batch when the device has room for one. Returns whether more is to be marched.
+    fn march(&mut self, now: Instant) -> bool {
+        if self.renderer.in_flight() >= SUBMISSIONS_MAX {
+            return true;
+        }
+        let (ns, tiles) = self.renderer.gpu_time(TimedPass::Cache);
+        let (seen_ns, seen_tiles) = self.cache_time_seen;
+        if tiles > seen_tiles {
+            let measured = (ns - seen_ns) as f64 / (tiles - seen_tiles) as f64;
+            self.ns_per_tile += 0.3 * (measured - self.ns_per_tile);
+            self.cache_time_seen = (ns, tiles);
+        }
+        let budget = self.march_budget(now);
+        let screen_space = self.march_screen_space(budget);
+        let tiles_max = (budget.as_nanos() as f64 / self.ns_per_tile).max(1.0) as usize;
+        let updates = self.renderer.march(tiles_max);
+        for update in &updates {
+            for (id, pace) in &mut self.paces {
+                let here = self
+                    .renderer
+                    .viewers
+                    .get(id)
+                    .is_some_and(|viewer| viewer.cell == update.sphere.cell);
+                if here {
+                    pace.change = pace.change.max(Change::Sharper);
+                }
+            }
+        }
+        // The last batch of a burst leaves a picture that is due at once.
+        let pending = !updates.is_empty();
+        if self.was_pending && !pending {
+            for pace in self.paces.values_mut().filter(|p| p.change == Change::Sharper) {
+                pace.change = Change::Seen;
+            }
+        }
+        self.was_pending = pending;
+        pending || screen_space
+    }
+
+    fn march_budget(&self, now: Instant) -> Duration {
+        let windy = self.renderer.wind_speed_max_m_per_s() > 0.0;
+        let fps = self
+            .paces
+            .iter()
+            .filter(|(_, pace)| windy || now.duration_since(pace.moved) < MOVING_FOR)
+            .filter_map(|(id, _)| self.renderer.viewers.get(id))
+            .map(|viewer| viewer.view.fps)
+            .fold(0.0, f64::max);
+        if fps > 0.0 {
+            RESTING_BATCH.min(Duration::from_secs_f64(MARCH_SHARE / fps))
+        } else {
+            RESTING_BATCH
+        }
+    }
+
+    /// One strip for the first screen-space viewer that lacks samples; a complete sample becomes a frame.
+    fn march_screen_space(&mut self, budget: Duration) -> bool {
+        let ids: Vec<ViewerId> = self
+            .renderer
+            .viewers
+            .iter()
+            .filter(|(_, viewer)| viewer.view.renderer == RendererKind::ScreenSpace)
+            .map(|(id, _)| *id)
+            .collect();
+        for id in ids {
+            let room = self
+                .renderer
+                .viewers
+                .get(&id)
+                .is_some_and(|viewer| viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX);
+            let seen = self.paces.get(&id).is_some_and(|pace| pace.change == Change::Seen);
+            if seen && room && self.renderer.screen_space_is_shown(id) {
+                // Moved since: the picture under way has been shown, the next one starts from the new view.
+                self.renderer.restart_screen_space(id);
+                if let Some(pace) = self.paces.get_mut(&id) {
+                    pace.change = Change::None;
+                }
+            }
+            if room && self.renderer.screen_space_pending(id) {
+                if self.renderer.march_screen_space(id, budget.as_nanos() as u64) {
+                    let now = Instant::now();
+                    for viewer in self.renderer.composite(&[id], &self.sink) {
+                        if let Some(pace) = self.paces.get_mut(&viewer) {
+                            pace.composited = Some(now);
+                        }
+                    }
+                }
+                return true;
+            }
+        }
+        false
+    }
+
+    fn publish(&mut self, now: Instant, idle: bool) {
+        if now >= self.stats_due || idle {
+            self.stats_due = now + STATS_INTERVAL;
+            let uptime_s = now.duration_since(self.started).as_secs_f64();
+            self.stats.publish(self.renderer.stats(uptime_s));
+        }
+    }
+
+    fn next_wait(&self, now: Instant, marching: bool) -> Duration {
+        if self.renderer.in_flight() > 0 {
+            return POLL_INTERVAL;
+        }
+        if marching {
+            return Duration::ZERO;
+        }
+        let next = self
+            .paces
+            .iter()
+            .filter(|(id, _)| {
+                self.renderer
+                    .viewers
+                    .get(id)
+                    .is_some_and(|viewer| viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX)
+            })
+            .filter_map(|(_, pace)| self.due_at(pace))
+            .min();
+        let windy = self.renderer.wind_speed_max_m_per_s() > 0.0;
+        let rest = if windy { Duration::from_millis(20) } else { IDLE_INTERVAL };
+        let stats = self.stats_due.saturating_duration_since(now).max(POLL_INTERVAL);
+        let rest = if self.stats_are_behind() { rest.min(stats) } else { rest };
+        next.map_or(rest, |due| {
+            due.saturating_duration_since(now).clamp(POLL_INTERVAL, rest)
+        })
+    }
+
+    /// Whether something has happened since the figures were published.
+    fn stats_are_behind(&self) -> bool {
+        let published = self.stats.latest();
+        published.totals.submissions != self.renderer.counters.submissions
+            || published.viewers.len() != self.renderer.viewers.len()
+            || published.totals.gpu_composite_ns != self.renderer.gpu_time(TimedPass::Composite).0
+            || published.totals.gpu_cache_ns != self.renderer.gpu_time(TimedPass::Cache).0
+    }
+}

@@ -1,0 +1,239 @@
+//! The service's figures for Prometheus. Each service has its own recorder, so that several can
+//! run in one process (tests do).
+
+use std::time::Duration;
+
+use metrics::{
+    Counter, Histogram, Unit, counter, describe_counter, describe_gauge, describe_histogram, gauge,
+    histogram, with_local_recorder,
+};
+use metrics_exporter_prometheus::{
+    BuildError, Matcher, PrometheusBuilder, PrometheusHandle, PrometheusRecorder,
+};
+use metrics_util::MetricKindMask;
+
+use crate::frame_loop::interface::RenderStats;
+
+/// Edges of the buckets of durations: from a small JPEG to a frame that is useless.
+const DURATION_BUCKETS_S: [f64; 14] = [
+    0.000_5, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.1, 0.2, 0.4, 0.8, 1.6, 5.0,
+];
+
+/// Gauges of cells that are gone leave the page after this time.
+const GAUGE_IDLE_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Counters and histograms that the service writes as things happen.
+pub struct Metrics {
+    recorder: PrometheusRecorder,
+    page: PrometheusHandle,
+    /// Frames handed to sockets.
+    pub frames_sent: Counter,
+    /// Frames replaced by newer ones before they were encoded or sent.
+    pub frames_dropped: Counter,
+    /// Bytes of messages handed to sockets.
+    pub bytes_sent: Counter,
+    /// Duration of encoding a JPEG.
+    pub encode_jpeg_s: Histogram,
+    /// Duration of encoding a PNG.
+    pub encode_png_s: Histogram,
+    /// From readback until an encoder takes the frame.
+    pub encode_wait_s: Histogram,
+    /// From the composite's submission until the client's acknowledgement.
+    pub frame_age_s: Histogram,
+}
+
+impl Metrics {
+    /// Figures that all stand at zero.
+    ///
+    /// # Errors
+    /// If the exporter refuses its settings.
+    pub fn new() -> Result<Self, BuildError> {
+        let recorder = PrometheusBuilder::new()
+            .set_buckets_for_metric(Matcher::Suffix("_seconds".to_owned()), &DURATION_BUCKETS_S)?
+            .idle_timeout(MetricKindMask::GAUGE, Some(GAUGE_IDLE_TIMEOUT))
+            .build_recorder();
+        let page = recorder.handle();
+        let metrics = with_local_recorder(&recorder, || {
+            describe();
+            (
+                counter!("skycell_frames_sent_total"),
+                counter!("skycell_frames_dropped_total"),
+                counter!("skycell_bytes_sent_total"),
+                histogram!("skycell_encode_seconds", "codec" => "jpeg"),
+                histogram!("skycell_encode_seconds", "codec" => "png"),
+                histogram!("skycell_encode_wait_seconds"),
+                histogram!("skycell_frame_age_seconds"),
+            )
+        });
+        Ok(Self {
+            recorder,
+            page,
+            frames_sent: metrics.0,
+            frames_dropped: metrics.1,
+            bytes_sent: metrics.2,
+            encode_jpeg_s: metrics.3,
+            encode_png_s: metrics.4,
+            encode_wait_s: metrics.5,
+            frame_age_s: metrics.6,
+        })
+    }
+
+    /// Folds recorded durations into their buckets. To be called every few seconds: until then
+    /// each one takes memory.
+    pub fn fold(&self) {
+        self.page.run_upkeep();
+    }
+
+    /// The page that Prometheus reads.
+    pub fn render(&self, viewers: usize, stats: &RenderStats) -> String {
+        with_local_recorder(&self.recorder, || set_render_figures(viewers, stats));
+        self.page.render()
+    }
+}
+
+fn describe() {
+    describe_gauge!("skycell_viewers", "Connected viewers");
+    describe_counter!("skycell_frames_sent_total", "Frames handed to sockets");
+    describe_counter!(
+        "skycell_frames_dropped_total",
+        "Frames replaced by newer ones before they were encoded or sent"
+    );
+    describe_counter!(
+        "skycell_bytes_sent_total",
+        Unit::Bytes,
+        "Bytes of messages handed to sockets"
+    );
+    describe_histogram!("skycell_encode_seconds", "Duration of encoding a frame");
+    describe_histogram!(
+        "skycell_encode_wait_seconds",
+        "From a frame's readback until an encoder takes it"
+    );
+    describe_histogram!(
+        "skycell_frame_age_seconds",
+        "From a composite's submission until the client's acknowledgement"
+    );
+    describe_counter!("skycell_ticks_total", "Turns of the frame loop");
+    describe_counter!(
+        "skycell_submissions_total",
+        "Command buffers submitted to the GPU"
+    );
+    describe_counter!("skycell_dispatches_total", "Compute dispatches and draws");
+    describe_counter!("skycell_texels_updated_total", "Cache texels marched");
+    describe_counter!("skycell_tiles_updated_total", "Cache tiles marched");
+    describe_counter!("skycell_tiles_evicted_total", "Cache tiles given up");
+    describe_counter!("skycell_frames_composited_total", "Frames composited");
+    describe_counter!("skycell_frames_read_back_total", "Frames read back");
+    describe_counter!(
+        "skycell_screen_space_marches_total",
+        "Rays marched by the screen-space renderer"
+    );
+    describe_counter!(
+        "skycell_gpu_nanoseconds_total",
+        Unit::Nanoseconds,
+        "GPU time by pass"
+    );
+    describe_gauge!("skycell_cache_bytes", Unit::Bytes, "GPU memory of caches");
+    describe_gauge!("skycell_scene_revision", "Revision of the rendered scene");
+    describe_gauge!("skycell_cell_viewers", "Viewers of a view cell");
+    describe_gauge!(
+        "skycell_cell_overlap",
+        "Share of requested texels that another viewer of the cell requests too"
+    );
+    describe_gauge!(
+        "skycell_cell_texels_requested",
+        "Texels requested, summed over the cell's viewers"
+    );
+    describe_gauge!(
+        "skycell_cell_texels_unique",
+        "Texels requested, each counted once"
+    );
+    describe_gauge!(
+        "skycell_cell_texels_pending",
+        "Texels that wait for an update"
+    );
+    describe_gauge!("skycell_cell_tiles_resident", "Tiles that are allocated");
+    describe_gauge!(
+        "skycell_cell_cache_bytes",
+        Unit::Bytes,
+        "GPU memory of a cell's caches"
+    );
+}
+
+fn set_render_figures(viewers: usize, stats: &RenderStats) {
+    let totals = &stats.totals;
+    gauge!("skycell_viewers").set(viewers as f64);
+    counter!("skycell_ticks_total").absolute(totals.ticks);
+    counter!("skycell_submissions_total").absolute(totals.submissions);
+    counter!("skycell_dispatches_total").absolute(totals.dispatches);
+    counter!("skycell_texels_updated_total").absolute(totals.texels_updated);
+    counter!("skycell_tiles_updated_total").absolute(totals.tiles_updated);
+    counter!("skycell_tiles_evicted_total").absolute(totals.tiles_evicted);
+    counter!("skycell_frames_composited_total").absolute(totals.frames_composited);
+    counter!("skycell_frames_read_back_total").absolute(totals.frames_read_back);
+    counter!("skycell_screen_space_marches_total").absolute(totals.screen_space_marches);
+    for (pass, time_ns) in [
+        ("cache", totals.gpu_cache_ns),
+        ("composite", totals.gpu_composite_ns),
+        ("screen-space", totals.gpu_screen_space_ns),
+    ] {
+        counter!("skycell_gpu_nanoseconds_total", "pass" => pass).absolute(time_ns);
+    }
+    gauge!("skycell_cache_bytes").set(totals.cache_bytes as f64);
+    gauge!("skycell_scene_revision").set(stats.scene_revision as f64);
+    for cell in &stats.cells {
+        let labels = [("cell", cell.id.to_string()), ("name", cell.name.clone())];
+        gauge!("skycell_cell_viewers", &labels).set(cell.viewers.len() as f64);
+        gauge!("skycell_cell_overlap", &labels).set(cell.overlap);
+        gauge!("skycell_cell_texels_requested", &labels).set(cell.texels_requested as f64);
+        gauge!("skycell_cell_texels_unique", &labels).set(cell.texels_unique as f64);
+        gauge!("skycell_cell_texels_pending", &labels).set(cell.texels_pending as f64);
+        gauge!("skycell_cell_tiles_resident", &labels).set(cell.tiles_resident as f64);
+        gauge!("skycell_cell_cache_bytes", &labels).set(cell.bytes as f64);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame_loop::interface::{CellStats, RenderTotals};
+
+    #[test]
+    fn the_page_shows_the_services_and_the_renderers_figures() {
+        let metrics = Metrics::new().expect("good settings");
+        metrics.frames_sent.increment(3);
+        metrics.encode_jpeg_s.record(0.003);
+        let stats = RenderStats {
+            totals: RenderTotals {
+                texels_updated: 7,
+                ..RenderTotals::default()
+            },
+            cells: vec![CellStats {
+                name: "harbour".to_owned(),
+                overlap: 0.75,
+                ..CellStats::default()
+            }],
+            ..RenderStats::default()
+        };
+        let page = metrics.render(2, &stats);
+        for line in [
+            "skycell_viewers 2",
+            "skycell_frames_sent_total 3",
+            "skycell_texels_updated_total 7",
+            "skycell_cell_overlap{cell=\"0\",name=\"harbour\"} 0.75",
+            "skycell_encode_seconds_bucket{codec=\"jpeg\",le=\"0.004\"} 1",
+            "skycell_encode_seconds_bucket{codec=\"jpeg\",le=\"0.002\"} 0",
+        ] {
+            assert!(page.lines().any(|found| found == line), "{line} in\n{page}");
+        }
+    }
+
+    #[test]
+    fn two_services_of_one_process_count_apart() {
+        let (a, b) = (Metrics::new().expect("a"), Metrics::new().expect("b"));
+        a.frames_sent.increment(5);
+        assert!(
+            b.render(0, &RenderStats::default())
+                .contains("skycell_frames_sent_total 0")
+        );
+    }
+}

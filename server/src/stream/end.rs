@@ -1,0 +1,141 @@
+//! How a session ends.
+
+use axum::extract::ws::close_code;
+use skycell_protocol::message::{ErrorCode, ErrorMessage};
+use tokio_tungstenite::tungstenite;
+
+/// Why a session ends, and what the client is told.
+#[derive(Debug)]
+pub(super) enum End {
+    /// The client has closed or is gone: nobody is there to be told.
+    PeerGone,
+    /// The server closes.
+    Close {
+        /// What is said before the close frame, if anything.
+        error: Option<ErrorMessage>,
+        /// The close frame's code.
+        code: u16,
+        /// The close frame's reason.
+        reason: &'static str,
+    },
+}
+
+impl End {
+    fn with_error(code: ErrorCode, message: String, close: u16, reason: &'static str) -> Self {
+        Self::Close {
+            error: Some(ErrorMessage {
+                code,
+                pointer: None,
+                message,
+            }),
+            code: close,
+            reason,
+        }
+    }
+
+    /// The first message was no hello, or a second one came.
+    pub(super) fn hello_expected(message: &str) -> Self {
+        Self::with_error(
+            ErrorCode::HelloExpected,
+            message.to_owned(),
+            close_code::PROTOCOL,
+            "hello expected",
+        )
+    }
+
+    /// No hello came in time.
+    pub(super) fn hello_too_late(seconds: u64) -> Self {
+        Self::with_error(
+            ErrorCode::HelloExpected,
+            format!("no hello within {seconds} s"),
+            close_code::POLICY,
+            "no hello in time",
+        )
+    }
+
+    /// The client speaks another version.
+    pub(super) fn wrong_version(error: ErrorMessage) -> Self {
+        Self::Close {
+            error: Some(error),
+            code: close_code::PROTOCOL,
+            reason: "wrong protocol version",
+        }
+    }
+
+    /// The client sent a binary message.
+    pub(super) fn binary() -> Self {
+        Self::with_error(
+            ErrorCode::WrongProtocol,
+            "clients send JSON text messages, no binary ones".to_owned(),
+            close_code::POLICY,
+            "binary message",
+        )
+    }
+
+    /// As many viewers are connected as may be.
+    pub(super) fn too_many_viewers(message: String) -> Self {
+        Self::with_error(
+            ErrorCode::TooManyViewers,
+            message,
+            close_code::AGAIN,
+            "too many viewers",
+        )
+    }
+
+    /// The server failed.
+    pub(super) fn internal(message: &str) -> Self {
+        Self::with_error(
+            ErrorCode::Internal,
+            message.to_owned(),
+            close_code::ERROR,
+            "internal error",
+        )
+    }
+
+    /// The client takes or says nothing.
+    pub(super) fn stalled() -> Self {
+        Self::Close {
+            error: None,
+            code: close_code::POLICY,
+            reason: "no progress",
+        }
+    }
+
+    /// The server shuts down.
+    pub(super) fn restart() -> Self {
+        Self::Close {
+            error: None,
+            code: close_code::RESTART,
+            reason: "the server shuts down",
+        }
+    }
+
+    /// What a socket's error means.
+    pub(super) fn of_socket_error(error: axum::Error) -> Self {
+        let error = error.into_inner();
+        match error.downcast_ref::<tungstenite::Error>() {
+            Some(tungstenite::Error::Capacity(limit)) => Self::with_error(
+                ErrorCode::TooLarge,
+                format!("{limit} bytes"),
+                close_code::SIZE,
+                "message too large",
+            ),
+            Some(tungstenite::Error::Utf8(_)) => Self::with_error(
+                ErrorCode::BadJson,
+                "a text message is not UTF-8".to_owned(),
+                close_code::INVALID,
+                "not UTF-8",
+            ),
+            Some(tungstenite::Error::Protocol(
+                tungstenite::error::ProtocolError::ResetWithoutClosingHandshake,
+            )) => Self::PeerGone,
+            Some(tungstenite::Error::Protocol(violation)) => Self::with_error(
+                ErrorCode::WrongProtocol,
+                format!("not WebSocket: {violation}"),
+                close_code::PROTOCOL,
+                "protocol violation",
+            ),
+            _ => Self::PeerGone,
+        }
+    }
+}

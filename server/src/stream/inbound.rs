@@ -1,0 +1,192 @@
+//! What a viewer says becomes commands for the renderer.
+
+use axum::extract::ws::{Message, WebSocket};
+use futures_util::StreamExt;
+use futures_util::stream::SplitStream;
+use skycell_protocol::message::{
+    Acknowledgement, ClientMessage, ErrorCode, ErrorMessage, ServerMessage, ViewChange,
+};
+use tokio::sync::mpsc;
+use tokio::time::Instant;
+
+use super::StreamContext;
+use super::end::End;
+use super::pace::{Due, InputPace};
+use crate::clock::unix_now_us;
+use crate::frame_loop::interface::{FrameLoopGone, RenderCommand};
+use crate::viewers::Viewer;
+
+/// Reads what the viewer says until the session ends.
+pub(super) async fn read(
+    stream: &mut SplitStream<WebSocket>,
+    answers: mpsc::Sender<ServerMessage>,
+    viewer: &Viewer,
+    context: &StreamContext,
+) -> End {
+    let mut inbound = Inbound {
+        answers,
+        viewer,
+        context,
+        pace: InputPace::new(Instant::now()),
+    };
+    match inbound.read(stream).await {
+        Ok(never) => match never {},
+        Err(end) => end,
+    }
+}
+
+struct Inbound<'a> {
+    answers: mpsc::Sender<ServerMessage>,
+    viewer: &'a Viewer,
+    context: &'a StreamContext,
+    pace: InputPace,
+}
+
+impl Inbound<'_> {
+    async fn read(
+        &mut self,
+        stream: &mut SplitStream<WebSocket>,
+    ) -> Result<std::convert::Infallible, End> {
+        let mut heard = Instant::now();
+        loop {
+            let stalled_at = heard + self.context.stall;
+            let due_at = self.pace.due_at();
+            tokio::select! {
+                message = stream.next() => {
+                    heard = Instant::now();
+                    match message {
+                        Some(Ok(message)) => self.take(message)?,
+                        Some(Err(error)) => return Err(End::of_socket_error(error)),
+                        None => return Err(End::PeerGone),
+                    }
+                }
+                // A viewer that reads answers pings, so one that is silent does not read.
+                () = tokio::time::sleep_until(stalled_at) => return Err(End::stalled()),
+                () = tokio::time::sleep_until(due_at.unwrap_or(stalled_at)), if due_at.is_some() => {}
+            }
+            self.send_due()?;
+        }
+    }
+
+    fn take(&mut self, message: Message) -> Result<(), End> {
+        match message {
+            Message::Text(text) => match ClientMessage::from_json_text(&text) {
+                Ok(message) => self.obey(message),
+                Err(error) => {
+                    self.answer(error.to_message());
+                    Ok(())
+                }
+            },
+            Message::Binary(_) => Err(End::binary()),
+            Message::Close(_) => Err(End::PeerGone),
+            Message::Ping(_) | Message::Pong(_) => Ok(()),
+        }
+    }
+
+    fn obey(&mut self, message: ClientMessage) -> Result<(), End> {
+        match message {
+            ClientMessage::Hello(_) => Err(End::hello_expected("the hello was already said")),
+            ClientMessage::Camera(input) => {
+                self.viewer.change_view(|view| view.camera = input.camera);
+                self.pace.camera(input);
+                Ok(())
+            }
+            ClientMessage::View(change) => {
+                self.change_view(change);
+                Ok(())
+            }
+            ClientMessage::Ack(acknowledgement) => self.acknowledge(acknowledgement),
+        }
+    }
+
+    fn change_view(&mut self, change: ViewChange) {
+        let size = match change.size_after(self.viewer.view().size) {
+            Ok(size) => size,
+            Err(error) => {
+                return self.answer(ErrorMessage {
+                    code: ErrorCode::BadValue,
+                    message: error.to_string(),
+                    pointer: Some(error.pointer),
+                });
+            }
+        };
+        self.viewer.change_view(|view| {
+            view.size = size;
+            view.fps = change.fps.unwrap_or(view.fps);
+            view.codec = change.codec.unwrap_or(view.codec);
+            if let Some(quality) = change.jpeg_quality {
+                view.jpeg_quality = quality.get();
+            }
+        });
+        self.pace.view();
+    }
+
+    fn acknowledge(&mut self, acknowledgement: Acknowledgement) -> Result<(), End> {
+        let sequence = acknowledgement.sequence;
+        let (age_us, is_new) = {
+            let mut figures = self.viewer.figures();
+            let last_sent = figures.last_sent();
+            if sequence > last_sent {
+                drop(figures);
+                self.answer(ErrorMessage {
+                    code: ErrorCode::BadValue,
+                    pointer: Some("/sequence".to_owned()),
+                    message: format!("/sequence is {sequence}; the last frame sent is {last_sent}"),
+                });
+                return Ok(());
+            }
+            figures.decode_us = acknowledgement.decode_us.or(figures.decode_us);
+            figures.acknowledged(sequence, unix_now_us())
+        };
+        if let Some(age_us) = age_us {
+            self.context
+                .metrics
+                .frame_age_s
+                .record(age_us as f64 * 1.0e-6);
+        }
+        if is_new {
+            self.send(RenderCommand::Acknowledge {
+                viewer: self.viewer.id(),
+                sequence,
+            })?;
+        }
+        Ok(())
+    }
+
+    fn send_due(&mut self) -> Result<(), End> {
+        let Due { camera, view } = self.pace.take_due(Instant::now());
+        let viewer = self.viewer.id();
+        if view {
+            let view = self.viewer.view();
+            self.send(RenderCommand::SetView { viewer, view })?;
+        }
+        if let Some(input) = camera {
+            self.send(RenderCommand::SetCamera {
+                viewer,
+                input: input.input,
+                camera: input.camera,
+            })?;
+        }
+        Ok(())
+    }
+
+    fn send(&self, command: RenderCommand) -> Result<(), End> {
+        self.context
+            .frame_loop
+            .send(command)
+            .map_err(|error| renderer_gone(error, self.viewer))
+    }
+
+    /// Leaves an answer for the writer. A client that provokes more than it reads misses some.
+    fn answer(&self, error: ErrorMessage) {
+        if self.answers.try_send(ServerMessage::Error(error)).is_err() {
+            tracing::debug!(viewer = %self.viewer.id(), "an answer was dropped");
+        }
+    }
+}
+
+/// Logs why the renderer takes no commands, and ends the session.
+pub(super) fn renderer_gone(error: FrameLoopGone, viewer: &Viewer) -> End {
+    tracing::error!(viewer = %viewer.id(), %error, "a session ends");
+    End::internal("the renderer takes no commands")
+}

@@ -1,0 +1,179 @@
+//! The WebSocket `/ws`: one session per viewer.
+//!
+//! A session is one task. What it holds for its viewer is bounded: one encoded frame in the slot,
+//! one in the socket's write buffer, a few answers, and inbound messages of at most 64 KiB.
+
+mod end;
+mod hello;
+mod inbound;
+mod outbound;
+mod pace;
+mod session;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::State;
+use axum::extract::ws::{WebSocketUpgrade, rejection::WebSocketUpgradeRejection};
+use axum::http::header::{HOST, ORIGIN};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::Response;
+use skycell_protocol::{INBOUND_MESSAGE_MAX_BYTES, SUBPROTOCOL};
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+
+use crate::api::Problem;
+use crate::frame_loop::interface::FrameLoopHandle;
+use crate::metrics::Metrics;
+use crate::scene::SceneStore;
+use crate::viewers::ViewerRegistry;
+
+/// Connections that may be between their upgrade and their hello, beyond the viewers that may be.
+const GREETING_MAX: usize = 32;
+
+/// The largest message that may wait in a socket's write buffer: a PNG of 3840x2160 pixels of
+/// noise is 33.2 MB.
+const WRITE_BUFFER_MAX_BYTES: usize = 40 * 1024 * 1024;
+
+/// Inbound messages are small; tungstenite's default of 128 KiB per connection would be waste.
+const READ_BUFFER_BYTES: usize = 8 * 1024;
+
+/// What every session shares.
+pub struct StreamContext {
+    /// Who is connected.
+    pub viewers: Arc<ViewerRegistry>,
+    /// The renderer.
+    pub frame_loop: FrameLoopHandle,
+    /// The scene.
+    pub scene: Arc<SceneStore>,
+    /// The service's figures.
+    pub metrics: Arc<Metrics>,
+    /// A viewer that takes or says nothing for this long is dropped.
+    pub stall: Duration,
+    /// Origins of other sites whose pages may connect.
+    pub allowed_origins: Vec<String>,
+    /// Ends every session when it is cancelled.
+    pub shutdown: CancellationToken,
+    /// Knows the sessions that still run.
+    pub sessions: TaskTracker,
+    /// Bounds connections that have not said hello together with those that have.
+    pub connections: Arc<Semaphore>,
+}
+
+/// As many connections as `viewers_max` viewers and those who are about to say hello need.
+pub fn connection_limit(viewers_max: u32) -> Arc<Semaphore> {
+    Arc::new(Semaphore::new(viewers_max as usize + GREETING_MAX))
+}
+
+/// `GET /ws`: checks who asks for what, then starts a session.
+pub(crate) async fn upgrade(
+    State(context): State<Arc<StreamContext>>,
+    headers: HeaderMap,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Result<Response, Problem> {
+    let upgrade = upgrade.map_err(|rejection| {
+        Problem::new(
+            rejection.status(),
+            format!("/ws is a WebSocket: {}", rejection.body_text()),
+        )
+    })?;
+    check_origin(&headers, &context.allowed_origins)?;
+    let upgrade = upgrade.protocols([SUBPROTOCOL]);
+    if upgrade.selected_protocol().is_none() {
+        let asked: Vec<_> = upgrade
+            .requested_protocols()
+            .map(|protocol| String::from_utf8_lossy(protocol.as_bytes()).into_owned())
+            .collect();
+        return Err(Problem::new(
+            StatusCode::BAD_REQUEST,
+            format!(
+                "the WebSocket subprotocol must be {SUBPROTOCOL}; asked for: {}",
+                if asked.is_empty() {
+                    "none".to_owned()
+                } else {
+                    asked.join(", ")
+                }
+            ),
+        ));
+    }
+    let busy = |what: &str| Problem::new(StatusCode::SERVICE_UNAVAILABLE, what);
+    if context.shutdown.is_cancelled() {
+        return Err(busy("the server is shutting down"));
+    }
+    let permit = Arc::clone(&context.connections)
+        .try_acquire_owned()
+        .map_err(|_| busy("too many connections; try again later"))?;
+    // From here on a shutdown waits for the session.
+    let running = context.sessions.token();
+    Ok(upgrade
+        .read_buffer_size(READ_BUFFER_BYTES)
+        // Every message is flushed at once: frames wait in the slot, where newer ones replace them.
+        .write_buffer_size(0)
+        .max_write_buffer_size(WRITE_BUFFER_MAX_BYTES)
+        .max_message_size(INBOUND_MESSAGE_MAX_BYTES)
+        .max_frame_size(INBOUND_MESSAGE_MAX_BYTES)
+        .on_upgrade(move |socket| async move {
+            session::run(socket, context).await;
+            drop(permit);
+            drop(running);
+        }))
+}
+
+/// Refuses pages of other sites: a browser sends their origin with the cookies and the network
+/// position of whoever looks at them. What is no browser sends no origin.
+fn check_origin(headers: &HeaderMap, allowed: &[String]) -> Result<(), Problem> {
+    let Some(origin) = headers.get(ORIGIN) else {
+        return Ok(());
+    };
+    let origin = origin.to_str().unwrap_or_default();
+    let host = headers
+        .get(HOST)
+        .and_then(|host| host.to_str().ok())
+        .unwrap_or_default();
+    let is_own = origin
+        .split_once("://")
+        .is_some_and(|(_, authority)| !host.is_empty() && authority.eq_ignore_ascii_case(host));
+    if is_own || allowed.iter().any(|other| other == origin) {
+        Ok(())
+    } else {
+        Err(Problem::new(
+            StatusCode::FORBIDDEN,
+            format!(
+                "pages of {origin} may not connect; allowed_origins in the configuration lists those that may"
+            ),
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn headers(origin: Option<&'static str>) -> HeaderMap {
+        let mut headers = HeaderMap::new();
+        headers.insert(HOST, "sky.example:8080".parse().expect("a header"));
+        if let Some(origin) = origin {
+            headers.insert(ORIGIN, origin.parse().expect("a header"));
+        }
+        headers
+    }
+
+    #[test]
+    fn pages_of_this_server_and_of_listed_origins_may_connect_and_others_may_not() {
+        let allowed = ["https://world.example".to_owned()];
+        for (origin, may) in [
+            (None, true),
+            (Some("http://sky.example:8080"), true),
+            (Some("http://SKY.example:8080"), true),
+            (Some("https://world.example"), true),
+            (Some("http://world.example"), false),
+            (Some("http://sky.example"), false),
+            (Some("http://evil.example"), false),
+            (Some("null"), false),
+        ] {
+            let result = check_origin(&headers(origin), &allowed);
+            assert_eq!(result.is_ok(), may, "{origin:?}");
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! Frames, heartbeats, status and answers on their way to a viewer.
+
+use std::time::Duration;
+
+use axum::extract::ws::{Message, WebSocket};
+use bytes::Bytes;
+use futures_util::SinkExt;
+use futures_util::stream::SplitSink;
+use skycell_protocol::frame::FrameCodec;
+use skycell_protocol::message::{ServerMessage, Status};
+use skycell_protocol::{CellId, FrameHeader, FrameSequence, InputSequence};
+use tokio::sync::mpsc;
+use tokio::time::{Instant, MissedTickBehavior, interval_at};
+
+use super::StreamContext;
+use super::end::End;
+use crate::clock::unix_now_us;
+use crate::frame_loop::interface::RenderStats;
+use crate::viewers::{EncodedFrame, Viewer};
+
+/// After this long without a frame, a heartbeat is sent.
+const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
+/// How often a viewer is told how things are.
+const STATUS_INTERVAL: Duration = Duration::from_secs(1);
+/// How many pings a viewer may miss before it counts as stalled.
+const PINGS_PER_STALL: u32 = 3;
+
+/// The text message of what a server says.
+pub(super) fn text_of(message: &ServerMessage) -> Result<Message, End> {
+    match serde_json::to_string(message) {
+        Ok(text) => Ok(Message::Text(text.into())),
+        Err(error) => {
+            tracing::error!(%error, "a message cannot be written as JSON");
+            Err(End::internal("a message cannot be written"))
+        }
+    }
+}
+
+/// Writes to the viewer until the session ends. Frames are taken only from the latest-wins slot,
+/// and only when the socket has taken all that came before.
+pub(super) async fn write(
+    sink: &mut SplitSink<WebSocket, Message>,
+    mut answers: mpsc::Receiver<ServerMessage>,
+    viewer: &Viewer,
+    context: &StreamContext,
+) -> End {
+    let mut outbound = Outbound {
+        sink,
+        viewer,
+        context,
+        last: None,
+        last_binary_at: Instant::now(),
+        rates_from: Instant::now(),
+    };
+    let start = Instant::now();
+    let mut status = interval_at(start + STATUS_INTERVAL, STATUS_INTERVAL);
+    // After a stall, one status says it all.
+    status.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let ping_interval = context.stall / PINGS_PER_STALL;
+    let mut ping = interval_at(start + ping_interval, ping_interval);
+    ping.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        let heartbeat_at = outbound.last_binary_at + HEARTBEAT_INTERVAL;
+        let result = tokio::select! {
+            frame = viewer.outbox().next() => outbound.frame(frame).await,
+            Some(answer) = answers.recv() => outbound.say(&answer).await,
+            _ = status.tick() => outbound.status().await,
+            () = tokio::time::sleep_until(heartbeat_at) => outbound.heartbeat().await,
+            _ = ping.tick() => outbound.send(Message::Ping(Bytes::new())).await,
+            () = viewer.failure() => Err(End::internal("a frame could not be encoded")),
+        };
+        if let Err(end) = result {
+            return end;
+        }
+    }
+}
+
+struct Outbound<'a> {
+    sink: &'a mut SplitSink<WebSocket, Message>,
+    viewer: &'a Viewer,
+    context: &'a StreamContext,
+    last: Option<FrameHeader>,
+    last_binary_at: Instant,
+    rates_from: Instant,
+}
+
+impl Outbound<'_> {
+    async fn frame(&mut self, frame: EncodedFrame) -> Result<(), End> {
+        let (header, message) = frame.into_message(std::time::Instant::now());
+        self.context.metrics.frames_sent.increment(1);
+        // Before it is sent: the acknowledgement may be there before the send returns.
+        self.viewer
+            .figures()
+            .sent_frame(header.sequence, header.render_unix_us);
+        self.last = Some(header);
+        self.send(Message::Binary(message)).await?;
+        self.last_binary_at = Instant::now();
+        Ok(())
+    }
+
+    async fn heartbeat(&mut self) -> Result<(), End> {
+        let header = FrameHeader {
+            codec: FrameCodec::None,
+            heartbeat: true,
+            coarse: self.last.is_some_and(|last| last.coarse),
+            sequence: self.last.map_or(FrameSequence(0), |last| last.sequence),
+            width: 0,
+            height: 0,
+            scene_revision: self.last.map_or(0, |last| last.scene_revision),
+            input: self.last.map_or(InputSequence(0), |last| last.input),
+            cell: self.last.map_or(CellId(0), |last| last.cell),
+            viewer: self.viewer.id(),
+            render_unix_us: unix_now_us(),
+            render_to_encode_us: 0,
+            encode_us: 0,
+            encode_to_send_us: 0,
+            payload_bytes: 0,
+        };
+        let message = Bytes::copy_from_slice(&header.encode());
+        self.send(Message::Binary(message)).await?;
+        self.last_binary_at = Instant::now();
+        Ok(())
+    }
+
+    async fn status(&mut self) -> Result<(), End> {
+        let now = Instant::now();
+        let (fps, mbit_per_s) = {
+            let mut figures = self.viewer.figures();
+            figures.take_rates((now - self.rates_from).as_secs_f64());
+            (figures.fps, figures.mbit_per_s)
+        };
+        self.rates_from = now;
+        let stats = self.context.frame_loop.stats();
+        let scene_revision = self.context.scene.snapshot().revision;
+        let status = status_of(self.viewer, &stats, scene_revision, fps, mbit_per_s);
+        self.say(&ServerMessage::Status(status)).await
+    }
+
+    async fn say(&mut self, message: &ServerMessage) -> Result<(), End> {
+        let message = text_of(message)?;
+        self.send(message).await
+    }
+
+    async fn send(&mut self, message: Message) -> Result<(), End> {
+        let bytes = match &message {
+            Message::Text(text) => text.len(),
+            Message::Binary(bytes) => bytes.len(),
+            Message::Ping(_) | Message::Pong(_) | Message::Close(_) => 0,
+        } as u64;
+        match tokio::time::timeout(self.context.stall, self.sink.send(message)).await {
+            Ok(Ok(())) => {
+                self.viewer.figures().bytes_sent += bytes;
+                self.context.metrics.bytes_sent.increment(bytes);
+                Ok(())
+            }
+            Ok(Err(error)) => Err(End::of_socket_error(error)),
+            Err(_) => Err(End::stalled()),
+        }
+    }
+}
+
+fn status_of(
+    viewer: &Viewer,
+    stats: &RenderStats,
+    scene_revision: u64,
+    fps: f64,
+    mbit_per_s: f64,
+) -> Status {
+    let cell = stats
+        .viewers
+        .iter()
+        .find(|known| known.id == viewer.id())
+        .map(|known| known.cell);
+    let figures = cell.and_then(|id| stats.cells.iter().find(|cell| cell.id == id));
+    Status {
+        cell,
+        cell_name: figures.map_or_else(String::new, |cell| cell.name.clone()),
+        viewers_in_cell: figures.map_or(0, |cell| {
+            u32::try_from(cell.viewers.len()).unwrap_or(u32::MAX)
+        }),
+        overlap: figures.map_or(0.0, |cell| cell.overlap),
+        texels_pending: figures.map_or(0, |cell| cell.texels_pending),
+        scene_revision,
+        fps,
+        mbit_per_s,
+        sky_converged: figures.is_some_and(|cell| cell.converged),
+    }
+}

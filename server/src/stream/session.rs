@@ -1,0 +1,183 @@
+//! One viewer's session, from its hello to its end.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::ws::{CloseFrame, Message, WebSocket};
+use futures_util::stream::{SplitSink, SplitStream};
+use futures_util::{SinkExt, StreamExt};
+use skycell_protocol::frame::FRAME_HEADER_BYTES;
+use skycell_protocol::message::{Hello, ServerMessage, Welcome};
+use skycell_protocol::view::{FRAME_HEIGHT_MAX, FRAME_WIDTH_MAX, FRAMES_PER_SECOND};
+use skycell_protocol::{PROTOCOL_VERSION, ViewerId};
+use tokio::sync::mpsc;
+
+use super::StreamContext;
+use super::end::End;
+use super::{hello, inbound, outbound};
+use crate::frame_loop::interface::{FrameLoopGone, FrameLoopHandle, RenderCommand, ViewRequest};
+use crate::viewers::Viewer;
+
+/// How many answers may wait for the writer.
+const ANSWERS_MAX: usize = 16;
+
+/// How long a client may take to hear why the server closes.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// How often a leave is tried again while the renderer's channel is full.
+const LEAVE_RETRY_INTERVAL: Duration = Duration::from_millis(50);
+
+/// Runs a session to its end.
+pub(super) async fn run(mut socket: WebSocket, context: Arc<StreamContext>) {
+    let hello = tokio::select! {
+        hello = hello::receive(&mut socket) => hello,
+        () = context.shutdown.cancelled() => Err(End::restart()),
+    };
+    let (mut sink, mut stream) = socket.split();
+    let end = match hello {
+        Ok(hello) => {
+            let end = serve(&mut sink, &mut stream, &hello, &context).await;
+            tracing::debug!(?end, "session ends");
+            end
+        }
+        Err(end) => end,
+    };
+    say_goodbye(sink, stream, end).await;
+}
+
+/// The session of a client that has said hello.
+async fn serve(
+    sink: &mut SplitSink<WebSocket, Message>,
+    stream: &mut SplitStream<WebSocket>,
+    hello: &Hello,
+    context: &StreamContext,
+) -> End {
+    let view = ViewRequest {
+        size: hello.size,
+        fps: hello.fps,
+        codec: hello.codec,
+        jpeg_quality: hello.jpeg_quality.get(),
+        camera: hello.camera,
+        renderer: hello.renderer,
+    };
+    let viewer = match context.viewers.join(view) {
+        Ok(viewer) => viewer,
+        Err(error) => return End::too_many_viewers(error.to_string()),
+    };
+    tracing::info!(
+        viewer = %viewer.id(),
+        width = view.size.width(),
+        height = view.size.height(),
+        codec = ?view.codec,
+        "viewer connects"
+    );
+    let join = RenderCommand::Join {
+        viewer: viewer.id(),
+        view,
+    };
+    if let Err(error) = context.frame_loop.send(join) {
+        return inbound::renderer_gone(error, &viewer);
+    }
+    let _leave = LeaveOnDrop {
+        frame_loop: context.frame_loop.clone(),
+        viewer: viewer.id(),
+    };
+    let (answers, waiting_answers) = mpsc::channel(ANSWERS_MAX);
+    // The channel is empty, so there is room.
+    let _ = answers.try_send(ServerMessage::Welcome(welcome(&viewer, context)));
+    tokio::select! {
+        end = inbound::read(stream, answers, &viewer, context) => end,
+        end = outbound::write(sink, waiting_answers, &viewer, context) => end,
+        () = context.shutdown.cancelled() => End::restart(),
+    }
+}
+
+fn welcome(viewer: &Viewer, context: &StreamContext) -> Welcome {
+    let stats = context.frame_loop.stats();
+    Welcome {
+        protocol: PROTOCOL_VERSION,
+        viewer: viewer.id(),
+        // The renderer places the viewer when it takes the join.
+        cell: None,
+        server: concat!("skycell-server ", env!("CARGO_PKG_VERSION")).to_owned(),
+        adapter: stats.adapter.name.clone(),
+        max_width: FRAME_WIDTH_MAX,
+        max_height: FRAME_HEIGHT_MAX,
+        max_fps: FRAMES_PER_SECOND.max,
+        frame_header_bytes: FRAME_HEADER_BYTES as u32,
+    }
+}
+
+/// Tells the client why, closes, and gives it a moment to hear it: what is closed while the
+/// client's data is unread is torn down before the client can read the reason.
+async fn say_goodbye(
+    mut sink: SplitSink<WebSocket, Message>,
+    mut stream: SplitStream<WebSocket>,
+    end: End,
+) {
+    let End::Close {
+        error,
+        code,
+        reason,
+    } = end
+    else {
+        // Completes the closing handshake, if there is one.
+        let _ = tokio::time::timeout(CLOSE_TIMEOUT, sink.close()).await;
+        return;
+    };
+    tracing::debug!(code, reason, "closing a connection");
+    let farewell = async {
+        if let Some(Ok(message)) = error.map(|e| outbound::text_of(&ServerMessage::Error(e))) {
+            sink.send(message).await?;
+        }
+        let frame = CloseFrame {
+            code,
+            reason: reason.into(),
+        };
+        sink.send(Message::Close(Some(frame))).await
+    };
+    if !matches!(
+        tokio::time::timeout(CLOSE_TIMEOUT, farewell).await,
+        Ok(Ok(()))
+    ) {
+        return;
+    }
+    let until = tokio::time::Instant::now() + CLOSE_TIMEOUT;
+    loop {
+        match tokio::time::timeout_at(until, stream.next()).await {
+            Ok(Some(Ok(_))) => {}
+            // After a message that is too large nothing more can be read, but the client can.
+            Ok(Some(Err(_))) => {
+                tokio::time::sleep_until(until).await;
+                return;
+            }
+            Ok(None) | Err(_) => return,
+        }
+    }
+}
+
+/// Tells the renderer that the viewer is gone, however the session ends.
+struct LeaveOnDrop {
+    frame_loop: FrameLoopHandle,
+    viewer: ViewerId,
+}
+
+impl Drop for LeaveOnDrop {
+    fn drop(&mut self) {
+        let viewer = self.viewer;
+        tracing::info!(%viewer, "viewer leaves");
+        let frame_loop = self.frame_loop.clone();
+        if frame_loop.send(RenderCommand::Leave { viewer }) != Err(FrameLoopGone::Behind) {
+            return;
+        }
+        // The renderer would go on rendering for it. Outside a runtime everything ends anyway.
+        if let Ok(runtime) = tokio::runtime::Handle::try_current() {
+            runtime.spawn(async move {
+                while frame_loop.send(RenderCommand::Leave { viewer }) == Err(FrameLoopGone::Behind)
+                {
+                    tokio::time::sleep(LEAVE_RETRY_INTERVAL).await;
+                }
+            });
+        }
+    }
+}

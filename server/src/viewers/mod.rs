@@ -1,0 +1,11 @@
+//! The connected viewers: who they are, what they want, what they were sent.
+
+mod figures;
+mod registry;
+mod slot;
+mod viewer;
+
+pub use figures::{FrameAge, ViewerFigures};
+pub use registry::{TooManyViewers, ViewerMembership, ViewerRegistry};
+pub use slot::LatestSlot;
+pub use viewer::{EncodedFrame, Viewer};

@@ -1,0 +1,159 @@
+//! One connected viewer, as its socket, the encoders and the API share it.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+use bytes::Bytes;
+use skycell_protocol::frame::FRAME_HEADER_BYTES;
+use skycell_protocol::{FrameHeader, ViewerId};
+use tokio::sync::Notify;
+
+use super::figures::ViewerFigures;
+use super::slot::LatestSlot;
+use crate::clock::saturating_us;
+use crate::frame_loop::interface::{FinishedFrame, ViewRequest};
+
+/// A frame that waits to be sent.
+#[derive(Debug)]
+pub struct EncodedFrame {
+    header: FrameHeader,
+    /// Room for the header, then the payload, so that sending copies nothing.
+    message: Vec<u8>,
+    encoded: Instant,
+}
+
+impl EncodedFrame {
+    /// A frame whose `message` has [`FRAME_HEADER_BYTES`] bytes of room before the payload.
+    pub fn new(header: FrameHeader, message: Vec<u8>, encoded: Instant) -> Self {
+        debug_assert!(message.len() >= FRAME_HEADER_BYTES);
+        Self {
+            header,
+            message,
+            encoded,
+        }
+    }
+
+    /// The finished message and its header, which tells how long the frame waited until `now`.
+    pub fn into_message(mut self, now: Instant) -> (FrameHeader, Bytes) {
+        self.header.encode_to_send_us = saturating_us(now.saturating_duration_since(self.encoded));
+        if let Some(room) = self.message.first_chunk_mut::<FRAME_HEADER_BYTES>() {
+            *room = self.header.encode();
+        }
+        (self.header, Bytes::from(self.message))
+    }
+}
+
+/// What waits for an encoder: at most one frame and at most one job.
+#[derive(Default)]
+struct EncoderInbox {
+    frame: Option<FinishedFrame>,
+    has_job: bool,
+    is_closed: bool,
+}
+
+/// One connected viewer. All that waits for it is one frame in pixels and one encoded frame.
+pub struct Viewer {
+    id: ViewerId,
+    connected: Instant,
+    view: Mutex<ViewRequest>,
+    inbox: Mutex<EncoderInbox>,
+    figures: Mutex<ViewerFigures>,
+    outbox: LatestSlot<EncodedFrame>,
+    failed: Notify,
+}
+
+impl Viewer {
+    pub(super) fn new(id: ViewerId, view: ViewRequest) -> Self {
+        Self {
+            id,
+            connected: Instant::now(),
+            view: Mutex::new(view),
+            inbox: Mutex::default(),
+            figures: Mutex::default(),
+            outbox: LatestSlot::default(),
+            failed: Notify::new(),
+        }
+    }
+
+    /// The viewer's number.
+    pub fn id(&self) -> ViewerId {
+        self.id
+    }
+
+    /// When it said hello.
+    pub fn connected(&self) -> Instant {
+        self.connected
+    }
+
+    /// What it wants now.
+    pub fn view(&self) -> ViewRequest {
+        *lock(&self.view)
+    }
+
+    /// Changes what it wants and returns the whole.
+    pub fn change_view(&self, change: impl FnOnce(&mut ViewRequest)) -> ViewRequest {
+        let mut view = lock(&self.view);
+        change(&mut view);
+        *view
+    }
+
+    /// What it was sent.
+    pub fn figures(&self) -> MutexGuard<'_, ViewerFigures> {
+        lock(&self.figures)
+    }
+
+    /// The encoded frame that is to be sent next.
+    pub fn outbox(&self) -> &LatestSlot<EncodedFrame> {
+        &self.outbox
+    }
+
+    /// Leaves a frame to be encoded, in the place of one that still waits. Returns the frame that
+    /// was replaced, and whether a job has to be started that takes this one.
+    pub fn offer(&self, frame: FinishedFrame) -> (Option<FinishedFrame>, bool) {
+        let mut inbox = lock(&self.inbox);
+        if inbox.is_closed {
+            // Nobody is there to see it; given back so that its buffer is freed outside the lock.
+            return (Some(frame), false);
+        }
+        let replaced = inbox.frame.replace(frame);
+        let needs_job = !inbox.has_job;
+        inbox.has_job = true;
+        (replaced, needs_job)
+    }
+
+    /// Takes the frame that waits to be encoded. With none left, the job is over.
+    pub fn take_for_encoding(&self) -> Option<FinishedFrame> {
+        let mut inbox = lock(&self.inbox);
+        let frame = inbox.frame.take();
+        if frame.is_none() {
+            inbox.has_job = false;
+        }
+        frame
+    }
+
+    /// Lets go of what waits and takes nothing more.
+    pub fn close(&self) {
+        let waiting = {
+            let mut inbox = lock(&self.inbox);
+            inbox.is_closed = true;
+            inbox.frame.take()
+        };
+        drop(waiting);
+        drop(self.outbox.take());
+    }
+
+    /// Says that a frame was lost in a way that the viewer cannot recover from.
+    pub fn fail(&self) {
+        self.failed.notify_one();
+    }
+
+    /// Waits until [`Viewer::fail`].
+    pub async fn failure(&self) {
+        self.failed.notified().await;
+    }
+}
+
+/// Nothing that these locks guard can be left half changed, so a panic elsewhere spoils nothing.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,10 @@
+//! The service edge over real HTTP and real WebSockets, with a stand-in for the renderer.
+
+mod client;
+mod figures;
+mod lifecycle;
+mod scene;
+mod stand_in;
+mod stream;
+mod stream_refusals;
+mod world;
