@@ -83,7 +83,7 @@ impl SkyLight {
         let difference = (sun_depth - view_depth).abs();
         let slab = exp(-sun_depth.min(view_depth))
             * DVec3::from_array(difference.to_array().map(one_minus_exp_over));
-        let diffuse = 0.5
+        let diffuse = 1.5
             * (DVec3::ONE - exp(-view_depth))
             * (DVec3::ONE - exp(-0.5 * sun_depth))
             * exp(-0.25 * sun_depth);

@@ -13,6 +13,10 @@
 const COVERAGE_SOFTNESS: f32 = 0.55;
 /// How steeply density rises from a cloud's surface inwards. Tuned by eye against photographs of cumulus.
 const SURFACE_STEEPNESS: f32 = 4.0;
+/// Shape noise is squeezed into this floor and range: the rest of the threshold is the dimensional profile's, which keeps
+/// bodies whole instead of scattering crumbs above them. Tuned by eye against photographs of cumulus.
+const SHAPE_FLOOR: f32 = 0.3;
+const SHAPE_RANGE: f32 = 0.6;
 /// Mean of both detail channels: what stands for detail that is too fine to be seen.
 const DETAIL_MEAN: f32 = 0.5;
 /// Share of the type map in the local type.
@@ -55,7 +59,7 @@ fn carved_density(layer: Layer, position: vec3f, altitude_m: f32, height_fractio
     let shape = textureSampleLevel(field_shape, field_repeat, field_position * layer.shape_per_m + layer.shape_offset, 0.0).xy;
     let billowy = saturate(height_fraction * 5.0);
     let noise = mix(shape.y, shape.x, billowy);
-    let carved = noise - (1.0 - profile);
+    let carved = SHAPE_FLOOR + SHAPE_RANGE * noise - (1.0 - profile);
 #ifdef WITHOUT_DETAIL
     let detail = DETAIL_MEAN;
 #else
@@ -70,6 +74,6 @@ fn smooth_density(layer: Layer, position: vec3f, altitude_m: f32, height_fractio
     let field_position = vec3f(position.x, altitude_m, position.z);
     let shape = textureSampleLevel(field_shape, field_repeat, field_position * layer.shape_per_m + layer.shape_offset, 0.0).xy;
     let noise = mix(shape.y, shape.x, saturate(height_fraction * 5.0));
-    let carved = noise - (1.0 - profile);
+    let carved = SHAPE_FLOOR + SHAPE_RANGE * noise - (1.0 - profile);
     return saturate((carved - layer.detail_strength * (1.0 - DETAIL_MEAN)) * SURFACE_STEEPNESS);
 }

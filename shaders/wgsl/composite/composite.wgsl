@@ -2,7 +2,7 @@
 #import skycell::march::{scene, LayerRadiance}
 #import skycell::shell::{altitude_m, shell_roots}
 #import skycell::shade::{background, layer_over}
-#import skycell::tone::{filmic, srgb_from_linear, dithered_bytes}
+#import skycell::tone::{balanced, filmic, srgb_from_linear, dithered_bytes}
 #import skycell::view::{View, pixel_direction}
 #ifndef SCREEN_SPACE
 #import skycell::cached::cached_radiance
@@ -58,6 +58,6 @@ fn composite(@builtin(global_invocation_id) id: vec3u) {
 #ifdef LINEAR_OUTPUT
     picture[id.y * view.width + id.x] = vec4f(radiance, 1.0);
 #else
-    picture[id.y * view.width + id.x] = dithered_bytes(srgb_from_linear(filmic(radiance * scene.exposure)), id.xy);
+    picture[id.y * view.width + id.x] = dithered_bytes(srgb_from_linear(filmic(balanced(radiance) * scene.exposure)), id.xy);
 #endif
 }

@@ -1,5 +1,14 @@
 #define_import_path skycell::tone
 
+/// Spectral irradiance of the sun above the atmosphere at the three channels, relative to its mean: what looks white.
+/// The reference solar spectrum (ASTM G173) at 680, 550 and 440 nm.
+const WHITE: vec3f = vec3f(0.8444, 1.0602, 1.0954);
+
+/// Radiance as the eye sees it that takes sunlight for white.
+fn balanced(radiance: vec3f) -> vec3f {
+    return radiance / WHITE;
+}
+
 /// Filmic curve: K. Narkowicz's fit of the ACES reference transform, 2015. radiance >= 0, so the denominator is > 0.14.
 fn filmic(radiance: vec3f) -> vec3f {
     let numerator = radiance * (2.51 * radiance + 0.03);

@@ -41,8 +41,9 @@ fn sky_radiance(planet: Planet, sky: Sky, sun: Sun, direction: vec3f) -> vec3f {
     let difference = abs(sun_depth - view_depth);
     let slab = exp(-min(sun_depth, view_depth))
         * vec3f(one_minus_exp_over(difference.x), one_minus_exp_over(difference.y), one_minus_exp_over(difference.z));
-    // Higher orders: what the column takes out of the beam comes back evenly, half of it downwards.
-    let diffuse = 0.5 * (vec3f(1.0) - exp(-view_depth)) * (vec3f(1.0) - exp(-0.5 * sun_depth)) * exp(-0.25 * sun_depth);
+    // Higher orders: what the column takes out of the beam comes back evenly. The factor is tuned: it brings the horizon
+    // to about four times the zenith, as in photographs of clear skies.
+    let diffuse = 1.5 * (vec3f(1.0) - exp(-view_depth)) * (vec3f(1.0) - exp(-0.5 * sun_depth)) * exp(-0.25 * sun_depth);
     let lit = smoothstep(-0.1, 0.05, sun.direction.y);
     return lit * sun.irradiance * (scattered * slab + ISOTROPIC_PER_SR * diffuse);
 }
