@@ -26,8 +26,8 @@ pub fn nearest_name<'a>(unknown: &str, known: &[&'a str]) -> Option<&'a str> {
 pub fn unknown_name_advice(unknown: &str, known: &[&str]) -> String {
     let list = known.join(", ");
     match nearest_name(unknown, known) {
-        Some(name) => format!("no key \"{unknown}\"; did you mean \"{name}\"? Known keys: {list}"),
-        None => format!("no key \"{unknown}\"; known keys: {list}"),
+        Some(name) => format!("one of the keys {list}; did you mean \"{name}\"?"),
+        None => format!("one of the keys {list}"),
     }
 }
 

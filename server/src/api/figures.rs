@@ -57,6 +57,8 @@ struct ServiceStats {
 pub(super) struct StatsReport {
     #[serde(flatten)]
     render: RenderStats,
+    /// Jittered samples that a texel averages before it has converged.
+    samples: u32,
     service: ServiceStats,
 }
 
@@ -78,6 +80,7 @@ pub(super) async fn viewers(State(context): State<Arc<StreamContext>>) -> Json<V
 pub(super) async fn stats(State(context): State<Arc<StreamContext>>) -> Json<StatsReport> {
     Json(StatsReport {
         render: RenderStats::clone(&context.frame_loop.stats()),
+        samples: context.samples,
         service: ServiceStats {
             viewers: context.viewers.count(),
             version: env!("CARGO_PKG_VERSION"),

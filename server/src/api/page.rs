@@ -10,13 +10,17 @@ use super::Problem;
 
 static WEB: Dir<'static> = include_dir!("$CARGO_MANIFEST_DIR/../client/web");
 
+/// The page's own tests lie beside it and are not part of it.
+const TESTS: &str = "tests/";
+
 /// A file of the page, or 404 for every path that nothing else serves.
 pub(super) async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     let path = match uri.path() {
         "/" => "index.html",
         path => path.trim_start_matches('/'),
     };
-    let (Some(file), Some(kind)) = (WEB.get_file(path), content_type(path)) else {
+    let served = content_type(path).filter(|_| !path.starts_with(TESTS));
+    let (Some(file), Some(kind)) = (WEB.get_file(path), served) else {
         return Problem::new(
             StatusCode::NOT_FOUND,
             format!("there is nothing at {}", uri.path()),
@@ -85,6 +89,7 @@ mod tests {
             "/..%2fCargo.toml",
             "//index.html/..",
             "/nothing",
+            "/tests/look.test.js",
         ] {
             assert_eq!(get(path).await.status(), StatusCode::NOT_FOUND, "{path}");
         }

@@ -36,10 +36,11 @@ pub(super) fn text_of(message: &ServerMessage) -> Result<Message, End> {
     }
 }
 
-/// Writes to the viewer until the session ends. Frames are taken only from the latest-wins slot,
+/// Writes to the viewer until the session ends, the welcome before all else. Frames are taken only from the latest-wins slot,
 /// and only when the socket has taken all that came before.
 pub(super) async fn write(
     sink: &mut SplitSink<WebSocket, Message>,
+    welcome: &ServerMessage,
     mut answers: mpsc::Receiver<ServerMessage>,
     viewer: &Viewer,
     context: &StreamContext,
@@ -52,6 +53,9 @@ pub(super) async fn write(
         last_binary_at: Instant::now(),
         rates_from: Instant::now(),
     };
+    if let Err(end) = outbound.say(welcome).await {
+        return end;
+    }
     let start = Instant::now();
     let mut status = interval_at(start + STATUS_INTERVAL, STATUS_INTERVAL);
     // After a stall, one status says it all.

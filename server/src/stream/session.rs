@@ -83,11 +83,10 @@ async fn serve(
         viewer: viewer.id(),
     };
     let (answers, waiting_answers) = mpsc::channel(ANSWERS_MAX);
-    // The channel is empty, so there is room.
-    let _ = answers.try_send(ServerMessage::Welcome(welcome(&viewer, context)));
+    let welcome = ServerMessage::Welcome(welcome(&viewer, context));
     tokio::select! {
         end = inbound::read(stream, answers, &viewer, context) => end,
-        end = outbound::write(sink, waiting_answers, &viewer, context) => end,
+        end = outbound::write(sink, &welcome, waiting_answers, &viewer, context) => end,
         () = context.shutdown.cancelled() => End::restart(),
     }
 }

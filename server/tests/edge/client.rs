@@ -72,12 +72,9 @@ impl Client {
     pub(crate) async fn join_as(address: SocketAddr, hello: Value) -> (Self, Welcome) {
         let mut client = Self::connect(address).await;
         client.say(&hello).await;
-        loop {
-            match client.hear().await {
-                Heard::Message(ServerMessage::Welcome(welcome)) => return (client, welcome),
-                Heard::Frame(..) => {}
-                other => panic!("no welcome but {other:?}"),
-            }
+        match client.hear().await {
+            Heard::Message(ServerMessage::Welcome(welcome)) => (client, welcome),
+            other => panic!("no welcome but {other:?}"),
         }
     }
 

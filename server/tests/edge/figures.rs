@@ -52,7 +52,10 @@ async fn the_figures_tell_of_viewers_cells_and_frames() {
     );
     let stats = world.get_json("/api/v1/stats").await;
     assert_eq!(stats["adapter"]["name"], "stand-in");
-    assert_eq!(stats["service"]["viewers"], 1);
+    assert_eq!(
+        (&stats["samples"], &stats["service"]["viewers"]),
+        (&json!(8), &json!(1))
+    );
     assert!(
         stats["totals"]["frames_composited"]
             .as_u64()

@@ -13,7 +13,12 @@ use crate::world::{eventually, start, start_with};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_viewer_is_welcomed_and_gets_frames_that_decode() {
-    let world = start().await;
+    // One frame only: no second one can replace it before it is sent.
+    let behaviour = Behaviour {
+        rests: true,
+        ..Behaviour::default()
+    };
+    let world = start_with(behaviour, |_| {}).await;
     let (mut client, welcome) = Client::join_as(world.address(), hello_json()).await;
     assert_eq!(welcome.adapter, "stand-in");
     assert_eq!(
