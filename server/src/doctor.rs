@@ -22,8 +22,7 @@ const ADVICE: &str = "No adapter was found.
 /// # Errors
 /// When no adapter can render.
 pub fn run(arguments: &DoctorArguments) -> anyhow::Result<()> {
-    let adapters =
-        futures_util::FutureExt::now_or_never(AdapterReport::all()).unwrap_or_default();
+    let adapters = futures_util::FutureExt::now_or_never(AdapterReport::all()).unwrap_or_default();
     let chosen = Gpu::open_blocking();
     let chosen_name = chosen.as_ref().ok().map(|gpu| gpu.info.name.clone());
     if arguments.json {
@@ -50,7 +49,10 @@ fn print_adapter(adapter: &AdapterReport, chosen: bool) {
     let mark = if chosen { " (renders)" } else { "" };
     println!("{}{mark}", adapter.name);
     println!("  driver           {}", adapter.driver);
-    println!("  interface        {}, {}", adapter.backend, adapter.device_type);
+    println!(
+        "  interface        {}, {}",
+        adapter.backend, adapter.device_type
+    );
     let timing = if adapter.timestamps {
         "by the device's timestamps"
     } else {

@@ -22,10 +22,14 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Serve the sky to viewers.
-    #[command(after_help = "Example: skycell-server serve --listen 127.0.0.1:8080 --state ~/.local/state/skycell")]
+    #[command(
+        after_help = "Example: skycell-server serve --listen 127.0.0.1:8080 --state ~/.local/state/skycell"
+    )]
     Serve(ServeArgs),
     /// Render one picture from a scene file and a camera, without a server.
-    #[command(after_help = "Example: skycell-server render --scene sunset.json --yaw-deg 250 --pitch-deg 10 --out sunset.png")]
+    #[command(
+        after_help = "Example: skycell-server render --scene sunset.json --yaw-deg 250 --pitch-deg 10 --out sunset.png"
+    )]
     Render(RenderArguments),
     /// Say which adapters there are, whether they can render, and how to get what is missing.
     #[command(after_help = "Example: skycell-server doctor --json")]

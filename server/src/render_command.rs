@@ -40,7 +40,12 @@ pub struct RenderArguments {
     #[arg(long, default_value_t = 60.0)]
     pub fov_deg: f64,
     /// Reference point of the cached renderer, when it is not the eye.
-    #[arg(long, value_delimiter = ',', num_args = 3, allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        num_args = 3,
+        allow_negative_numbers = true
+    )]
     pub reference_m: Option<Vec<f64>>,
     /// Samples per texel or pixel, 1 to 16.
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=16))]
@@ -147,7 +152,9 @@ pub fn run(arguments: &RenderArguments) -> anyhow::Result<()> {
     let mut still = StillRenderer::new(config, Arc::new(scene), &placed)?;
     still.advance_time(arguments.time_s);
     let bar = ProgressBar::new(1000);
-    bar.set_style(ProgressStyle::with_template("marching [{bar:30}] {percent} % {eta}")?);
+    bar.set_style(ProgressStyle::with_template(
+        "marching [{bar:30}] {percent} % {eta}",
+    )?);
     let start = Instant::now();
     let pixels = still.render(camera, size, kind, linear, |share| {
         bar.set_position((share * 1000.0) as u64);
@@ -184,10 +191,18 @@ fn write_picture(path: &Path, size: FrameSize, pixels: StillPixels) -> anyhow::R
     let written = match pixels {
         StillPixels::Display(bytes) => image::RgbaImage::from_raw(width, height, bytes)
             .context(wrong)
-            .map(|picture| image::DynamicImage::ImageRgba8(picture).to_rgb8().save(path))?,
+            .map(|picture| {
+                image::DynamicImage::ImageRgba8(picture)
+                    .to_rgb8()
+                    .save(path)
+            })?,
         StillPixels::Linear(values) => image::Rgba32FImage::from_raw(width, height, values)
             .context(wrong)
-            .map(|picture| image::DynamicImage::ImageRgba32F(picture).to_rgb32f().save(path))?,
+            .map(|picture| {
+                image::DynamicImage::ImageRgba32F(picture)
+                    .to_rgb32f()
+                    .save(path)
+            })?,
     };
     written.with_context(|| format!("{} cannot be written", path.display()))
 }

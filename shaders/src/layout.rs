@@ -75,12 +75,24 @@ gpu_struct! {
         aerosol_asymmetry: f32,
         /// Radiance of the lit ground, W/(m² nm sr).
         ground_radiance: [f32; 3],
-        /// Extinction of the air near the ground, 1/m.
-        haze_extinction_per_m: f32,
-        /// Transmittance of sunlight down to the ground, per channel.
-        sun_transmittance: [f32; 3],
-        /// Scale height of the aerosol, m.
-        haze_scale_height_m: f32,
+        /// How much of the sun's light the sky still has, 0…1.
+        lit: f32,
+        /// Optical depth of the whole column towards the sun, per channel.
+        sun_column: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_column: f32,
+        /// e to the negative of `sun_column`.
+        sun_column_kept: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_kept: f32,
+        /// Higher orders of scattering per unit of what the view's column takes out, 1/sr.
+        diffuse_per_sr: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_diffuse: f32,
+        /// Extinction of the air at the ground, 1/m.
+        ground_air_extinction_per_m: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_ground: f32,
     }
 }
 
@@ -164,7 +176,11 @@ gpu_struct! {
         /// Largest number of lit samples of a ray.
         steps_max: u32,
         /// Padding.
-        _pad_end: [f32; 2],
+        _pad_air: [u32; 2],
+        /// Mean extinction of the air up to the proxy sphere, 1/m.
+        air_extinction_per_m: [f32; 3],
+        /// Padding.
+        _pad_end: f32,
     }
 }
 
@@ -261,5 +277,9 @@ gpu_struct! {
         sample_is_first: u32,
         /// Layer that a pass marches.
         layer: u32,
+        /// Altitude of the position above the ground, m.
+        altitude_m: f32,
+        /// Padding.
+        _pad_end: [u32; 3],
     }
 }

@@ -68,6 +68,8 @@ impl Kernel {
 pub struct Features {
     /// Groups of four scattering octaves, 1 to 4.
     pub octave_vectors: u32,
+    /// Layers that are composited, 0 to 4.
+    pub layers: u32,
     /// Density from maps and noise; without it a layer is homogeneous.
     pub weather: bool,
     /// Catmull-Rom instead of bilinear reads of the cache.
@@ -82,6 +84,7 @@ impl Default for Features {
     fn default() -> Self {
         Self {
             octave_vectors: 1,
+            layers: 1,
             weather: true,
             catmull_rom: true,
             linear_output: false,
@@ -91,11 +94,12 @@ impl Default for Features {
 }
 
 impl Features {
-    /// Every combination that [`compose`] accepts.
+    /// Every value of every feature: octave vectors and layers, which no kernel reads both, step together.
     pub fn all() -> impl Iterator<Item = Self> {
-        (1..=4).flat_map(|octave_vectors| {
+        (0..=4u32).flat_map(|count| {
             (0..16u32).map(move |bits| Self {
-                octave_vectors,
+                octave_vectors: count.max(1),
+                layers: count,
                 weather: bits & 1 != 0,
                 catmull_rom: bits & 2 != 0,
                 linear_output: bits & 4 != 0,
@@ -105,10 +109,16 @@ impl Features {
     }
 
     fn definitions(self) -> HashMap<String, ShaderDefValue> {
-        let mut definitions = HashMap::from([(
-            "OCTAVE_VECTORS".to_owned(),
-            ShaderDefValue::UInt(self.octave_vectors.clamp(1, 4)),
-        )]);
+        let mut definitions = HashMap::from([
+            (
+                "OCTAVE_VECTORS".to_owned(),
+                ShaderDefValue::UInt(self.octave_vectors.clamp(1, 4)),
+            ),
+            (
+                "LAYERS".to_owned(),
+                ShaderDefValue::UInt(self.layers.min(4)),
+            ),
+        ]);
         for (name, set) in [
             ("DENSITY_WEATHER", self.weather),
             ("CATMULL_ROM", self.catmull_rom),
@@ -125,10 +135,7 @@ impl Features {
 
 /// Modules in an order in which each finds what it imports.
 const MODULES: &[(&str, &str)] = &[
-    (
-        "scene/scene.wgsl",
-        include_str!("../wgsl/scene/scene.wgsl"),
-    ),
+    ("scene/scene.wgsl", include_str!("../wgsl/scene/scene.wgsl")),
     (
         "geometry/shell.wgsl",
         include_str!("../wgsl/geometry/shell.wgsl"),
@@ -137,10 +144,7 @@ const MODULES: &[(&str, &str)] = &[
         "geometry/octahedral.wgsl",
         include_str!("../wgsl/geometry/octahedral.wgsl"),
     ),
-    (
-        "light/phase.wgsl",
-        include_str!("../wgsl/light/phase.wgsl"),
-    ),
+    ("light/phase.wgsl", include_str!("../wgsl/light/phase.wgsl")),
     (
         "light/transport.wgsl",
         include_str!("../wgsl/light/transport.wgsl"),
@@ -149,10 +153,7 @@ const MODULES: &[(&str, &str)] = &[
         "cloud/density.wgsl",
         include_str!("../wgsl/cloud/density.wgsl"),
     ),
-    (
-        "march/march.wgsl",
-        include_str!("../wgsl/march/march.wgsl"),
-    ),
+    ("march/march.wgsl", include_str!("../wgsl/march/march.wgsl")),
     (
         "sky/analytic.wgsl",
         include_str!("../wgsl/sky/analytic.wgsl"),

@@ -12,7 +12,11 @@ fn every_entry_point_validates_in_every_specialisation() {
             Validator::new(ValidationFlags::all(), Capabilities::empty())
                 .validate(&module)
                 .unwrap_or_else(|error| panic!("{kernel:?} {features:?}: {error:?}"));
-            let names: Vec<&str> = module.entry_points.iter().map(|e| e.name.as_str()).collect();
+            let names: Vec<&str> = module
+                .entry_points
+                .iter()
+                .map(|e| e.name.as_str())
+                .collect();
             assert_eq!(names, [kernel.entry_point()]);
         }
     }
@@ -40,8 +44,8 @@ fn wgsl_layout(module: &naga::Module, name: &str) -> Option<(Vec<(String, usize)
 
 fn check<T: GpuLayout>(kernel: Kernel) {
     let module = compose(kernel, Features::default()).expect("composes");
-    let (fields, size) = wgsl_layout(&module, T::NAME)
-        .unwrap_or_else(|| panic!("{} is not in {kernel:?}", T::NAME));
+    let (fields, size) =
+        wgsl_layout(&module, T::NAME).unwrap_or_else(|| panic!("{} is not in {kernel:?}", T::NAME));
     let ours: Vec<(String, usize)> = T::fields()
         .into_iter()
         .map(|(name, offset)| (name.to_owned(), offset))

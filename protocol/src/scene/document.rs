@@ -38,7 +38,7 @@ document! {
         /// Radius of the ground.
         "radius_m" => radius_m: f64 = 6_360_000.0,
         /// Share of light that the ground reflects.
-        "ground_albedo" => ground_albedo: f64 = 0.2,
+        "ground_albedo" => ground_albedo: f64 = 0.1,
     }
 }
 
@@ -125,9 +125,9 @@ document! {
         /// Length after which the noise that shapes clouds repeats.
         "shape_period_m" => shape_period_m: f64 = 5000.0,
         /// Length after which the noise that frays their edges repeats.
-        "detail_period_m" => detail_period_m: f64 = 900.0,
+        "detail_period_m" => detail_period_m: f64 = 420.0,
         /// How much the edges are frayed.
-        "detail_strength" => detail_strength: f64 = 0.35,
+        "detail_strength" => detail_strength: f64 = 0.3,
         /// Another number, another sky.
         "seed" => seed: u32 = 1,
     }

@@ -152,7 +152,11 @@ mod tests {
 
     #[test]
     fn a_tile_is_its_childrens_parent() {
-        let tile = TileKey { level: 3, x: 17, y: 4 };
+        let tile = TileKey {
+            level: 3,
+            x: 17,
+            y: 4,
+        };
         for child in tile.children() {
             assert_eq!(child.parent(), Some(tile));
         }

@@ -186,7 +186,11 @@ mod tests {
 
     fn view(yaw: f64, pitch: f64, fov: f64, width: u32, height: u32) -> ViewFrustum {
         let (yaw, pitch) = (yaw.to_radians(), pitch.to_radians());
-        let forward = DVec3::new(yaw.sin() * pitch.cos(), pitch.sin(), -yaw.cos() * pitch.cos());
+        let forward = DVec3::new(
+            yaw.sin() * pitch.cos(),
+            pitch.sin(),
+            -yaw.cos() * pitch.cos(),
+        );
         let right = DVec3::new(yaw.cos(), 0.0, yaw.sin());
         let half = (fov.to_radians() / 2.0).tan();
         ViewFrustum {
@@ -237,10 +241,11 @@ mod tests {
 
     #[test]
     fn no_requested_tile_covers_another() {
-        let tiles: Vec<TileKey> = requested_tiles(&view(30.0, 20.0, 60.0, 1280, 720), &sphere(), 0.0)
-            .iter()
-            .map(|r| r.key)
-            .collect();
+        let tiles: Vec<TileKey> =
+            requested_tiles(&view(30.0, 20.0, 60.0, 1280, 720), &sphere(), 0.0)
+                .iter()
+                .map(|r| r.key)
+                .collect();
         for tile in &tiles {
             let mut ancestor = tile.parent();
             while let Some(a) = ancestor {
@@ -253,7 +258,8 @@ mod tests {
 
     #[test]
     fn each_step_of_mip_bias_quarters_the_request() {
-        let count = |bias| requested_tiles(&view(0.0, 45.0, 60.0, 1920, 1080), &sphere(), bias).len();
+        let count =
+            |bias| requested_tiles(&view(0.0, 45.0, 60.0, 1920, 1080), &sphere(), bias).len();
         assert!(count(0.0) > 3 * count(1.0));
     }
 

@@ -154,7 +154,10 @@ impl SphereCache {
     /// Tiles of the coarse level that no viewer requests.
     #[must_use]
     pub fn coarse_only(&self) -> u64 {
-        self.wanted.values().filter(|want| want.viewers == 0).count() as u64
+        self.wanted
+            .values()
+            .filter(|want| want.viewers == 0)
+            .count() as u64
     }
 
     /// Tiles with a slot.
@@ -202,9 +205,7 @@ impl SphereCache {
                 Some(_) if have == 0 => Urgency::Stale,
                 Some(_) if have < samples && want.viewers == 0 => Urgency::CoarseUnfinished,
                 Some(_) if have < samples => Urgency::Unfinished,
-                Some(tile)
-                    if age_rad(tile, reference, want.distance_m) > AGE_REFRESH_RAD =>
-                {
+                Some(tile) if age_rad(tile, reference, want.distance_m) > AGE_REFRESH_RAD => {
                     Urgency::Aged
                 }
                 Some(_) => continue,

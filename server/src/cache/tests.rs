@@ -138,7 +138,8 @@ fn a_missing_tile_is_shown_by_the_nearest_coarser_one() {
     caches.plan(50, at_origin);
     let tables = caches.sphere_mut(SPHERE).page_tables();
     let side = TileKey::tiles_per_side(2) as usize;
-    let entry = |x: usize, y: usize| tables.entries[tables.level_offsets[2] as usize + y * side + x];
+    let entry =
+        |x: usize, y: usize| tables.entries[tables.level_offsets[2] as usize + y * side + x];
     assert_eq!(entry(8, 8) >> 16, 2);
     assert_eq!(entry(9, 8) >> 16, 0);
     assert_eq!(entry(0, 0), NO_TILE);

@@ -181,7 +181,10 @@ mod tests {
         let second = cells.assign(ViewerId(2), at(9_800.0));
         assert_eq!(first, second);
         let cell = cells.get(first).expect("there");
-        assert_eq!((cell.name.as_str(), cell.reference_m), ("plaza", at(10_000.0)));
+        assert_eq!(
+            (cell.name.as_str(), cell.reference_m),
+            ("plaza", at(10_000.0))
+        );
     }
 
     #[test]

@@ -10,11 +10,17 @@ use skycell_shaders::{Features, Kernel, layout};
 
 /// What a composite is specialised to.
 #[must_use]
-pub fn composite_key(filter: FrameFilter, screen_space: bool, linear_output: bool) -> PipelineKey {
+pub fn composite_key(
+    filter: FrameFilter,
+    layers: usize,
+    screen_space: bool,
+    linear_output: bool,
+) -> PipelineKey {
     PipelineKey {
         kernel: Kernel::Composite,
         features: Features {
             octave_vectors: 1,
+            layers: layers as u32,
             weather: false,
             catmull_rom: !screen_space && filter == FrameFilter::CatmullRom,
             linear_output,
@@ -39,7 +45,7 @@ pub fn view_frustum(camera: &Camera, size: FrameSize, frame: &CellFrame) -> View
 
 /// A view as the shaders read it; tables and strips are the caller's to fill in.
 #[must_use]
-pub fn view_uniform(frustum: &ViewFrustum, size: FrameSize) -> layout::View {
+pub fn view_uniform(frustum: &ViewFrustum, frame: &CellFrame, size: FrameSize) -> layout::View {
     let f32s = |v: DVec3| v.as_vec3().to_array();
     layout::View {
         position: f32s(frustum.position),
@@ -49,6 +55,7 @@ pub fn view_uniform(frustum: &ViewFrustum, size: FrameSize) -> layout::View {
         right: f32s(frustum.right),
         up: f32s(frustum.up),
         pixel_angle_rad: frustum.pixel_angle_rad as f32,
+        altitude_m: frame.altitude_m(frustum.position) as f32,
         ..Default::default()
     }
 }
@@ -140,8 +147,8 @@ impl Picture {
         pass.set_bind_group(2, layers, &[]);
         pass.set_bind_group(3, &self.group, &[]);
         pass.dispatch_workgroups(
-            self.size.width().div_ceil(8),
-            self.size.height().div_ceil(8),
+            self.size.width().div_ceil(16),
+            self.size.height().div_ceil(16),
             1,
         );
     }

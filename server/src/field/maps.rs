@@ -89,7 +89,13 @@ pub fn skip_distances(coverage: &[u8], layer_coverage: f64) -> Vec<u8> {
     let far = (range * range) as f32;
     let seeds: Vec<f32> = coverage
         .iter()
-        .map(|c| if f64::from(*c) / 255.0 > limit { 0.0 } else { far })
+        .map(|c| {
+            if f64::from(*c) / 255.0 > limit {
+                0.0
+            } else {
+                far
+            }
+        })
         .collect();
     // Squared distances, first along rows, then along columns (P. Felzenszwalb & D. Huttenlocher 2012).
     let rows: Vec<f32> = seeds
@@ -175,7 +181,10 @@ mod tests {
                 };
                 let truth = wrap(x, cx).hypot(wrap(y, cy));
                 let skip = f64::from(skips[y * size + x]) / 255.0 * 256.0;
-                assert!(skip <= (truth - 2.1).max(0.0), "({x}, {y}): {skip} of {truth}");
+                assert!(
+                    skip <= (truth - 2.1).max(0.0),
+                    "({x}, {y}): {skip} of {truth}"
+                );
                 if truth < 250.0 {
                     assert!(skip >= truth - 4.0, "({x}, {y}): {skip} of {truth}");
                 }

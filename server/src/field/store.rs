@@ -9,7 +9,7 @@ use std::time::Duration;
 use xxhash_rust::xxh3::xxh3_64;
 
 /// Changes with the formulas of this module's noise: old files are then no longer found.
-const GENERATOR_VERSION: u32 = 3;
+const GENERATOR_VERSION: u32 = 4;
 
 /// Where noise and maps are kept. Without a folder they are made anew each time.
 #[derive(Clone, Debug)]

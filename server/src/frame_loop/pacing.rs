@@ -239,7 +239,8 @@ impl FrameLoop {
             .map(|layer| layer.proxy_altitude_m)
             .fold(f64::INFINITY, f64::min);
         for (id, pace) in &mut self.paces {
-            let (Some(last), Some(viewer)) = (pace.composited, self.renderer.viewers.get(id)) else {
+            let (Some(last), Some(viewer)) = (pace.composited, self.renderer.viewers.get(id))
+            else {
                 continue;
             };
             let camera = &viewer.view.camera;
@@ -330,7 +331,11 @@ impl FrameLoop {
         // The last batch of a burst leaves a picture that is due at once.
         let pending = !updates.is_empty();
         if self.was_pending && !pending {
-            for pace in self.paces.values_mut().filter(|p| p.change == Change::Sharper) {
+            for pace in self
+                .paces
+                .values_mut()
+                .filter(|p| p.change == Change::Sharper)
+            {
                 pace.change = Change::Seen;
             }
         }
@@ -369,7 +374,10 @@ impl FrameLoop {
                 .viewers
                 .get(&id)
                 .is_some_and(|viewer| viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX);
-            let seen = self.paces.get(&id).is_some_and(|pace| pace.change == Change::Seen);
+            let seen = self
+                .paces
+                .get(&id)
+                .is_some_and(|pace| pace.change == Change::Seen);
             if seen && room && self.renderer.screen_space_is_shown(id) {
                 // Moved since: the picture under way has been shown, the next one starts from the new view.
                 self.renderer.restart_screen_space(id);
@@ -378,7 +386,10 @@ impl FrameLoop {
                 }
             }
             if room && self.renderer.screen_space_pending(id) {
-                if self.renderer.march_screen_space(id, budget.as_nanos() as u64) {
+                if self
+                    .renderer
+                    .march_screen_space(id, budget.as_nanos() as u64)
+                {
                     let now = Instant::now();
                     for viewer in self.renderer.composite(&[id], &self.sink) {
                         if let Some(pace) = self.paces.get_mut(&viewer) {
@@ -419,11 +430,23 @@ impl FrameLoop {
             .filter_map(|(_, pace)| self.due_at(pace))
             .min();
         let windy = self.renderer.wind_speed_max_m_per_s() > 0.0;
-        let rest = if windy { Duration::from_millis(20) } else { IDLE_INTERVAL };
-        let stats = self.stats_due.saturating_duration_since(now).max(POLL_INTERVAL);
-        let rest = if self.stats_are_behind() { rest.min(stats) } else { rest };
+        let rest = if windy {
+            Duration::from_millis(20)
+        } else {
+            IDLE_INTERVAL
+        };
+        let stats = self
+            .stats_due
+            .saturating_duration_since(now)
+            .max(POLL_INTERVAL);
+        let rest = if self.stats_are_behind() {
+            rest.min(stats)
+        } else {
+            rest
+        };
         next.map_or(rest, |due| {
-            due.saturating_duration_since(now).clamp(POLL_INTERVAL, rest)
+            due.saturating_duration_since(now)
+                .clamp(POLL_INTERVAL, rest)
         })
     }
 

@@ -9,16 +9,16 @@ use crate::cache::{
 };
 use crate::cells::Cells;
 use crate::clock::unix_now_us;
-use crate::config::{PlacedCell, RenderConfig};
 use crate::composite::{Picture, composite_key, view_frustum, view_uniform};
+use crate::config::{PlacedCell, RenderConfig};
 use crate::field::FieldStore;
 use crate::gpu::{
     FieldTextures, Gpu, GpuError, PipelineKey, Pipelines, ReadbackRing, TimedPass, TimingRing,
 };
 use crate::march::{
-    ActiveLayer, Atlas, BATCH_TILES_MAX, CellBuffers, CellFrame, MarchSettings, MarchedPixels, SkyLight,
-    TexelGroup, TexelMarch, active_layers, layer_features, pixels_key, scene_uniform, sky_light,
-    texels_key,
+    ActiveLayer, Atlas, BATCH_TILES_MAX, CellBuffers, CellFrame, MarchSettings, MarchedPixels,
+    SkyLight, TexelGroup, TexelMarch, active_layers, layer_features, pixels_key, scene_uniform,
+    sky_light, texels_key,
 };
 use glam::DVec3;
 use skycell_protocol::scene::DensityModel;
@@ -146,8 +146,8 @@ impl SkyRenderer {
     pub(super) fn set_scene(&mut self, scene: Arc<Scene>, revision: u64) -> Result<(), GpuError> {
         let active = active_layers(&scene);
         let mut keys = vec![
-            composite_key(self.config.frame_filter, false, false),
-            composite_key(self.config.frame_filter, true, false),
+            composite_key(self.config.frame_filter, active.len(), false, false),
+            composite_key(self.config.frame_filter, active.len(), true, false),
         ];
         for layer in &active {
             let features = layer_features(&scene, layer.scene_index);
@@ -166,7 +166,8 @@ impl SkyRenderer {
         self.scene_revision = revision;
         self.light = sky_light(&self.scene, cloud_altitude_m);
         self.drifts.resize(self.scene.layers().len(), DVec3::ZERO);
-        let moved = old.planet().radius_m() != self.scene.planet().radius_m() || active != self.active;
+        let moved =
+            old.planet().radius_m() != self.scene.planet().radius_m() || active != self.active;
         self.active = active;
         if moved {
             let ids: Vec<CellId> = self.active_cells.keys().copied().collect();
@@ -210,6 +211,7 @@ impl SkyRenderer {
             self.refresh_cells();
             let key = composite_key(
                 self.config.frame_filter,
+                self.active.len(),
                 renderer == RendererKind::ScreenSpace,
                 false,
             );
@@ -492,7 +494,11 @@ impl SkyRenderer {
         });
         if changed {
             let tables: Vec<_> = (0..self.active.len() as u32)
-                .map(|layer| self.caches.sphere_mut(SphereId { cell: id, layer }).page_tables())
+                .map(|layer| {
+                    self.caches
+                        .sphere_mut(SphereId { cell: id, layer })
+                        .page_tables()
+                })
                 .collect();
             cell.buffers.set_tables(&self.gpu, &tables);
         }
@@ -606,7 +612,7 @@ impl SkyRenderer {
     pub(super) fn view_of(&self, viewer: &ActiveViewer) -> Option<layout::View> {
         let cell = self.active_cells.get(&viewer.cell)?;
         let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
-        let mut view = view_uniform(&frustum, viewer.view.size);
+        let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
         for (layer, requests) in viewer.requests.iter().enumerate().take(view.tables.len()) {
             let finest = requests.iter().map(|r| r.key.level).max().unwrap_or(0);
             view.tables[layer] = cell.buffers.table(layer, finest);
@@ -640,7 +646,11 @@ impl SkyRenderer {
 
     /// Composites a frame for each of the viewers that has a buffer free, in one submission, and has it read back into
     /// the sink. Returns whose frames are under way.
-    pub(super) fn composite(&mut self, ids: &[ViewerId], sink: &Arc<dyn FrameSink>) -> Vec<ViewerId> {
+    pub(super) fn composite(
+        &mut self,
+        ids: &[ViewerId],
+        sink: &Arc<dyn FrameSink>,
+    ) -> Vec<ViewerId> {
         self.timing.begin();
         let mut encoder = self
             .gpu
@@ -734,7 +744,12 @@ impl SkyRenderer {
             encoder,
             &mut self.timing,
             &self.pipelines,
-            composite_key(self.config.frame_filter, screen_space, false),
+            composite_key(
+                self.config.frame_filter,
+                self.active.len(),
+                screen_space,
+                false,
+            ),
             &cell.buffers.scene_group,
             &layers,
             &view,

@@ -2,8 +2,8 @@
 
 use super::interface::{RenderTotals, ViewRequest};
 use super::renderer::SkyRenderer;
-use crate::config::{PlacedCell, RenderConfig};
 use crate::composite::{Picture, composite_key};
+use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{Gpu, GpuError, TimedPass, read_buffer_blocking};
 use skycell_protocol::{Camera, Codec, FrameSize, RendererKind, Scene, ViewerId};
 use std::sync::Arc;
@@ -99,8 +99,9 @@ impl StillRenderer {
         );
         let filter = renderer.config.frame_filter;
         let screen_space = kind == RendererKind::ScreenSpace;
-        let key = composite_key(filter, screen_space, linear);
+        let key = composite_key(filter, renderer.active.len(), screen_space, linear);
         renderer.pipelines.prepare(&renderer.gpu, key)?;
+        renderer.refresh_cells();
         if screen_space {
             let samples = f64::from(renderer.config.samples);
             let mut done = 0.0;
@@ -135,7 +136,11 @@ impl StillRenderer {
     /// GPU time of the cache, of composites and of the screen-space renderer so far, ns.
     #[must_use]
     pub fn gpu_times_ns(&self) -> [u64; 3] {
-        [TimedPass::Cache, TimedPass::Composite, TimedPass::ScreenSpace]
-            .map(|pass| self.renderer.gpu_time(pass).0)
+        [
+            TimedPass::Cache,
+            TimedPass::Composite,
+            TimedPass::ScreenSpace,
+        ]
+        .map(|pass| self.renderer.gpu_time(pass).0)
     }
 }

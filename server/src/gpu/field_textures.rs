@@ -1,7 +1,9 @@
 //! The cloud field on the device.
 
 use super::Gpu;
-use crate::field::{FieldStore, MAP_SIZE, PROFILE_SIZE, VolumeKind, profile_texels, skip_distances};
+use crate::field::{
+    FieldStore, MAP_SIZE, PROFILE_SIZE, VolumeKind, profile_texels, skip_distances,
+};
 use skycell_protocol::scene::WeatherDensity;
 use std::collections::HashMap;
 
@@ -37,7 +39,13 @@ impl FieldTextures {
                 height: noise.size,
                 depth_or_array_layers: noise.size,
             };
-            let texture = texture(gpu, kind.name(), extent, wgpu::TextureDimension::D3, wgpu::TextureFormat::Rg8Unorm);
+            let texture = texture(
+                gpu,
+                kind.name(),
+                extent,
+                wgpu::TextureDimension::D3,
+                wgpu::TextureFormat::Rg8Unorm,
+            );
             upload(gpu, &texture, 0, extent, &noise.texels, 2);
             texture
         };
@@ -48,14 +56,26 @@ impl FieldTextures {
             height: PROFILE_SIZE[1],
             depth_or_array_layers: 1,
         };
-        let profile = texture(gpu, "profile", profile_extent, wgpu::TextureDimension::D2, wgpu::TextureFormat::R8Unorm);
+        let profile = texture(
+            gpu,
+            "profile",
+            profile_extent,
+            wgpu::TextureDimension::D2,
+            wgpu::TextureFormat::R8Unorm,
+        );
         upload(gpu, &profile, 0, profile_extent, &profile_texels(), 1);
         let maps_extent = wgpu::Extent3d {
             width: MAP_SIZE,
             height: MAP_SIZE,
             depth_or_array_layers: MAPS,
         };
-        let maps = texture(gpu, "maps", maps_extent, wgpu::TextureDimension::D2, wgpu::TextureFormat::Rgba8Unorm);
+        let maps = texture(
+            gpu,
+            "maps",
+            maps_extent,
+            wgpu::TextureDimension::D2,
+            wgpu::TextureFormat::Rgba8Unorm,
+        );
         let sampler = |mode: wgpu::AddressMode| {
             gpu.device.create_sampler(&wgpu::SamplerDescriptor {
                 label: Some("field"),

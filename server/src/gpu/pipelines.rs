@@ -71,8 +71,7 @@ fn stored(format: wgpu::TextureFormat) -> wgpu::BindingType {
     }
 }
 
-const SAMPLER: wgpu::BindingType =
-    wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
+const SAMPLER: wgpu::BindingType = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
 
 fn layout(gpu: &Gpu, label: &str, types: &[wgpu::BindingType]) -> wgpu::BindGroupLayout {
     let entries: Vec<_> = (0..)
@@ -132,7 +131,11 @@ impl Pipelines {
                 gpu,
                 "cached",
                 &[
-                    storage(true),
+                    wgpu::BindingType::Texture {
+                        sample_type: wgpu::TextureSampleType::Uint,
+                        view_dimension: D2,
+                        multisampled: false,
+                    },
                     sampled(D2Array, true),
                     sampled(D2Array, false),
                     SAMPLER,

@@ -101,7 +101,11 @@ impl TimingRing {
 
     /// Timestamps for the next pass of the submission, when there is room; `units` of work (tiles, pixels) are counted
     /// with its time.
-    pub fn pass(&mut self, what: TimedPass, units: u64) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
+    pub fn pass(
+        &mut self,
+        what: TimedPass,
+        units: u64,
+    ) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
         let slot = &mut self.slots[self.current?];
         let index = slot.passes.len() as u32;
         if index == PASSES_MAX {

@@ -88,11 +88,7 @@ impl Atlas {
             depth_or_array_layers: self.pages.min(wanted),
         };
         for (old, new) in [(&self.radiance, &radiance), (&self.distance, &distance)] {
-            encoder.copy_texture_to_texture(
-                old.as_image_copy(),
-                new.as_image_copy(),
-                extent,
-            );
+            encoder.copy_texture_to_texture(old.as_image_copy(), new.as_image_copy(), extent);
         }
         gpu.queue.submit([encoder.finish()]);
         self.radiance = radiance;
@@ -154,7 +150,10 @@ impl Atlas {
                 aspect: wgpu::TextureAspect::All,
             };
             encoder.copy_texture_to_texture(
-                at(from, origin(slot.0 % TILES_PER_PAGE, slot.0 / TILES_PER_PAGE)),
+                at(
+                    from,
+                    origin(slot.0 % TILES_PER_PAGE, slot.0 / TILES_PER_PAGE),
+                ),
                 at(to, origin(place, 0)),
                 extent,
             );

@@ -7,6 +7,8 @@ use crate::gpu::{Gpu, Pipelines};
 use glam::DVec3;
 use skycell_shaders::layout;
 
+/// Entries of a row of the page tables, as in `composite/cached.wgsl`.
+const TABLE_WIDTH: u32 = 1024;
 /// Layers that a scene may have.
 const LAYERS_MAX: usize = 4;
 
@@ -18,7 +20,7 @@ pub struct CellBuffers {
     /// Group 0 of every kernel.
     pub scene_group: wgpu::BindGroup,
     field_group: wgpu::BindGroup,
-    tables: wgpu::Buffer,
+    tables: wgpu::Texture,
     offsets: [Vec<u32>; LAYERS_MAX],
     cached_group: Option<(u64, wgpu::BindGroup)>,
     sampler: wgpu::Sampler,
@@ -31,6 +33,24 @@ fn buffer(gpu: &Gpu, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> wgpu
         size: bytes,
         usage: usage | wgpu::BufferUsages::COPY_DST,
         mapped_at_creation: false,
+    })
+}
+
+/// Page tables as rows of entries; a table of all levels for four layers has at most 700 rows.
+fn table_texture(gpu: &Gpu, rows: u32) -> wgpu::Texture {
+    gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: Some("page tables"),
+        size: wgpu::Extent3d {
+            width: TABLE_WIDTH,
+            height: rows,
+            depth_or_array_layers: 1,
+        },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::R32Uint,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+        view_formats: &[],
     })
 }
 
@@ -63,7 +83,7 @@ impl CellBuffers {
             reference,
             scene_group,
             field_group: field_group.clone(),
-            tables: buffer(gpu, "page tables", 4, wgpu::BufferUsages::STORAGE),
+            tables: table_texture(gpu, 1),
             offsets: Default::default(),
             cached_group: None,
             sampler: gpu.device.create_sampler(&wgpu::SamplerDescriptor {
@@ -110,17 +130,30 @@ impl CellBuffers {
             self.offsets[layer] = tables.level_offsets.iter().map(|o| o + start).collect();
             entries.extend_from_slice(&tables.entries);
         }
-        if entries.is_empty() {
-            entries.push(NO_TILE);
-        }
-        let bytes = (entries.len() * 4) as u64;
-        if bytes > self.tables.size() {
-            // Twice what is needed now: tables grow a level at a time.
-            self.tables = buffer(gpu, "page tables", 2 * bytes, wgpu::BufferUsages::STORAGE);
+        entries.resize(entries.len().max(1), NO_TILE);
+        entries.resize(
+            entries.len().next_multiple_of(TABLE_WIDTH as usize),
+            NO_TILE,
+        );
+        let rows = entries.len() as u32 / TABLE_WIDTH;
+        if rows > self.tables.height() {
+            self.tables = table_texture(gpu, rows);
             self.cached_group = None;
         }
-        gpu.queue
-            .write_buffer(&self.tables, 0, bytemuck::cast_slice(&entries));
+        gpu.queue.write_texture(
+            self.tables.as_image_copy(),
+            bytemuck::cast_slice(&entries),
+            wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(4 * TABLE_WIDTH),
+                rows_per_image: None,
+            },
+            wgpu::Extent3d {
+                width: TABLE_WIDTH,
+                height: rows,
+                depth_or_array_layers: 1,
+            },
+        );
     }
 
     /// Where a layer's table for a level is; beyond the levels that have tiles the finest one that has.
@@ -142,16 +175,26 @@ impl CellBuffers {
     }
 
     /// Group 2 of the cached composite.
-    pub fn cached_group(&mut self, gpu: &Gpu, pipelines: &Pipelines, atlas: &Atlas) -> &wgpu::BindGroup {
+    pub fn cached_group(
+        &mut self,
+        gpu: &Gpu,
+        pipelines: &Pipelines,
+        atlas: &Atlas,
+    ) -> &wgpu::BindGroup {
         let version = atlas.version();
-        if self.cached_group.as_ref().is_some_and(|(held, _)| *held != version) {
+        if self
+            .cached_group
+            .as_ref()
+            .is_some_and(|(held, _)| *held != version)
+        {
             self.cached_group = None;
         }
         let (tables, sampler) = (&self.tables, &self.sampler);
         let (_, group) = self.cached_group.get_or_insert_with(|| {
             let [radiance, distance] = atlas.views();
+            let tables_view = tables.create_view(&wgpu::TextureViewDescriptor::default());
             let resources = [
-                tables.as_entire_binding(),
+                wgpu::BindingResource::TextureView(&tables_view),
                 wgpu::BindingResource::TextureView(&radiance),
                 wgpu::BindingResource::TextureView(&distance),
                 wgpu::BindingResource::Sampler(sampler),

@@ -68,11 +68,7 @@ impl CellFrame {
         let c = (h - altitude_m) * (h + altitude_m + 2.0 * r);
         let root = (b * b - c).max(0.0).sqrt();
         // The larger root, without cancellation where b > 0.
-        if b > 0.0 {
-            -c / (b + root)
-        } else {
-            root - b
-        }
+        if b > 0.0 { -c / (b + root) } else { root - b }
     }
 }
 
@@ -101,7 +97,10 @@ mod tests {
             let direction = DVec3::new(e.cos(), e.sin(), 0.0);
             let distance = frame.distance_to_shell_m(eye, direction, 2_000.0);
             let altitude = frame.altitude_m(eye + direction * distance);
-            assert!((altitude - 2_000.0).abs() < 1e-5, "{elevation_deg}: {altitude}");
+            assert!(
+                (altitude - 2_000.0).abs() < 1e-5,
+                "{elevation_deg}: {altitude}"
+            );
         }
     }
 }

@@ -15,6 +15,7 @@ pub fn pixels_key(layer: Features) -> PipelineKey {
     PipelineKey {
         kernel: Kernel::MarchPixels,
         features: Features {
+            layers: 1,
             catmull_rom: false,
             linear_output: false,
             screen_space: true,
@@ -122,7 +123,10 @@ impl MarchedPixels {
             });
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("march pixels"),
-            timestamp_writes: timing.pass(TimedPass::ScreenSpace, u64::from(rows) * u64::from(self.size.width())),
+            timestamp_writes: timing.pass(
+                TimedPass::ScreenSpace,
+                u64::from(rows) * u64::from(self.size.width()),
+            ),
         });
         pass.set_pipeline(pipeline);
         pass.set_bind_group(0, &cell.scene_group, &[]);

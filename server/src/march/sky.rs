@@ -13,6 +13,9 @@ const RAYLEIGH_OPTICAL_DEPTH: [f64; 3] = [0.046_418, 0.108_463, 0.264_804];
 const SCALE_HEIGHTS_M: [f64; 2] = [8_000.0, 1_200.0];
 /// Mean cosine of continental aerosol.
 const AEROSOL_ASYMMETRY: f64 = 0.76;
+/// What the higher orders of scattering add: what the beam loses comes back evenly. Tuned: brings the horizon to about
+/// four times the zenith, as in photographs of clear skies.
+const DIFFUSE_FACTOR: f64 = 1.5;
 /// Angular radius of the sun as seen from the earth.
 const SUN_ANGULAR_RADIUS_DEG: f64 = 0.2666;
 
@@ -37,8 +40,14 @@ pub struct SkyLight {
     pub mean_radiance: DVec3,
     /// Radiance of the lit ground.
     pub ground_radiance: DVec3,
-    /// Transmittance of sunlight down to the ground.
-    pub sun_transmittance: DVec3,
+    /// How much of the sun's light the sky still has: 1 by day, 0 at night.
+    pub lit: f64,
+    /// Optical depth of the whole column towards the sun.
+    pub sun_column: DVec3,
+    /// e to its negative.
+    pub sun_column_kept: DVec3,
+    /// Higher orders of scattering per unit of what the column towards the viewer takes out, 1/sr.
+    pub diffuse_per_sr: DVec3,
 }
 
 fn exp(v: DVec3) -> DVec3 {
@@ -74,8 +83,7 @@ impl SkyLight {
     fn radiance(&self, planet_radius_m: f64, direction: DVec3) -> DVec3 {
         let (rayleigh, aerosol) = self.column(planet_radius_m, direction.y);
         let view_depth = rayleigh + aerosol;
-        let (sun_rayleigh, sun_aerosol) = self.column(planet_radius_m, self.sun_direction.y);
-        let sun_depth = sun_rayleigh + sun_aerosol;
+        let sun_depth = self.sun_column;
         let angle = 0.5 * (direction - self.sun_direction).length_squared();
         let mu = 1.0 - angle;
         let scattered = rayleigh * (3.0 / (16.0 * PI) * (1.0 + mu * mu))
@@ -83,13 +91,18 @@ impl SkyLight {
         let difference = (sun_depth - view_depth).abs();
         let slab = exp(-sun_depth.min(view_depth))
             * DVec3::from_array(difference.to_array().map(one_minus_exp_over));
-        let diffuse = 1.5
-            * (DVec3::ONE - exp(-view_depth))
-            * (DVec3::ONE - exp(-0.5 * sun_depth))
-            * exp(-0.25 * sun_depth);
-        let t = ((self.sun_direction.y + 0.1) / 0.15).clamp(0.0, 1.0);
-        let lit = t * t * (3.0 - 2.0 * t);
-        lit * self.sun_irradiance * (scattered * slab + diffuse / (4.0 * PI))
+        let diffuse = (DVec3::ONE - exp(-view_depth)) * self.diffuse_per_sr;
+        self.lit * self.sun_irradiance * (scattered * slab + diffuse)
+    }
+}
+
+impl SkyLight {
+    /// Mean extinction of the air between the ground and an altitude, 1/m.
+    #[must_use]
+    pub fn air_extinction_per_m(&self, altitude_m: f64) -> DVec3 {
+        let mean = |scale_m: f64| one_minus_exp_over(altitude_m.max(0.0) / scale_m) / scale_m;
+        self.rayleigh_optical_depth * mean(SCALE_HEIGHTS_M[0])
+            + self.aerosol_optical_depth * mean(SCALE_HEIGHTS_M[1])
     }
 }
 
@@ -108,10 +121,20 @@ pub fn sky_light(scene: &Scene, cloud_altitude_m: f64) -> SkyLight {
         aerosol_asymmetry: AEROSOL_ASYMMETRY,
         mean_radiance: DVec3::ZERO,
         ground_radiance: DVec3::ZERO,
-        sun_transmittance: DVec3::ZERO,
+        lit: 0.0,
+        sun_column: DVec3::ZERO,
+        sun_column_kept: DVec3::ZERO,
+        diffuse_per_sr: DVec3::ZERO,
     };
     let mu_sun = light.sun_direction.y;
     let (rayleigh, aerosol) = light.column(radius_m, mu_sun);
+    light.sun_column = rayleigh + aerosol;
+    light.sun_column_kept = exp(-light.sun_column);
+    let t = ((mu_sun + 0.1) / 0.15).clamp(0.0, 1.0);
+    light.lit = t * t * (3.0 - 2.0 * t);
+    light.diffuse_per_sr = DIFFUSE_FACTOR / (4.0 * PI)
+        * (DVec3::ONE - exp(-0.5 * light.sun_column))
+        * exp(-0.25 * light.sun_column);
     let share_above = |scale: f64| (-cloud_altitude_m.max(0.0) / scale).exp();
     let above_clouds =
         rayleigh * share_above(SCALE_HEIGHTS_M[0]) + aerosol * share_above(SCALE_HEIGHTS_M[1]);
@@ -125,10 +148,9 @@ pub fn sky_light(scene: &Scene, cloud_altitude_m: f64) -> SkyLight {
     };
     light.irradiance_at_clouds =
         light.sun_irradiance * exp(-above_clouds) * visible(cloud_altitude_m);
-    light.sun_transmittance = exp(-(rayleigh + aerosol)) * visible(0.0);
     light.mean_radiance = hemisphere_mean(|direction| light.radiance(radius_m, direction));
-    let ground_irradiance = light.sun_irradiance * light.sun_transmittance * mu_sun.max(0.0)
-        + PI * light.mean_radiance;
+    let at_ground = light.sun_irradiance * light.sun_column_kept * visible(0.0);
+    let ground_irradiance = at_ground * mu_sun.max(0.0) + PI * light.mean_radiance;
     light.ground_radiance = scene.planet().ground_albedo() * FRAC_1_PI * ground_irradiance;
     light
 }
@@ -168,7 +190,10 @@ mod tests {
                 light.mean_radiance,
                 light.ground_radiance,
             ] {
-                assert!(value.is_finite() && value.min_element() >= 0.0, "{elevation}: {value}");
+                assert!(
+                    value.is_finite() && value.min_element() >= 0.0,
+                    "{elevation}: {value}"
+                );
             }
         }
     }

@@ -21,6 +21,7 @@ pub fn texels_key(layer: Features) -> PipelineKey {
     PipelineKey {
         kernel: Kernel::MarchTexels,
         features: Features {
+            layers: 1,
             catmull_rom: false,
             linear_output: false,
             screen_space: false,
@@ -77,7 +78,10 @@ impl TexelMarch {
         let mut ranges = Vec::new();
         let mut place = 0u32;
         for group in groups.iter().take(GROUPS_MAX) {
-            items.resize(items.len().next_multiple_of(GROUP_ALIGNMENT), TileWork::default());
+            items.resize(
+                items.len().next_multiple_of(GROUP_ALIGNMENT),
+                TileWork::default(),
+            );
             let start = items.len();
             let first_place = place;
             for update in &group.updates {

@@ -9,7 +9,7 @@ use skycell_shaders::{Features, layout};
 
 /// Factor from radiance (per unit of the sun's spectral irradiance in W/(m² nm)) to the tone curve at 0 EV.
 /// Tuned: puts a sunlit cumulus just under the shoulder, the noon sky at middle grey (`skycell-server render`).
-const EXPOSURE_AT_ZERO_EV: f64 = 4.2;
+const EXPOSURE_AT_ZERO_EV: f64 = 3.6;
 
 /// How finely rays are marched.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -169,7 +169,11 @@ pub fn scene_uniform(
             mean_radiance: f32s(light.mean_radiance),
             aerosol_asymmetry: light.aerosol_asymmetry as f32,
             ground_radiance: f32s(light.ground_radiance),
-            sun_transmittance: f32s(light.sun_transmittance),
+            lit: light.lit as f32,
+            sun_column: f32s(light.sun_column),
+            sun_column_kept: f32s(light.sun_column_kept),
+            diffuse_per_sr: f32s(light.diffuse_per_sr),
+            ground_air_extinction_per_m: f32s(light.air_extinction_per_m(0.0)),
             ..Default::default()
         },
         light: layout::Light {
@@ -192,7 +196,10 @@ pub fn scene_uniform(
     };
     for (place, (layer, anchor)) in active.iter().zip(anchors).enumerate().take(4) {
         let drift = drifts.get(layer.scene_index).copied().unwrap_or_default();
-        uniform.layers[place] = layer_uniform(scene, *layer, place, settings, frame, drift, *anchor);
+        uniform.layers[place] =
+            layer_uniform(scene, *layer, place, settings, frame, drift, *anchor);
+        uniform.layers[place].air_extinction_per_m =
+            f32s(light.air_extinction_per_m(layer.proxy_altitude_m));
     }
     uniform
 }

@@ -12,10 +12,10 @@
 /// Tuned: narrower makes cliffs, wider veils (`skycell-server render` of the default scene).
 const COVERAGE_SOFTNESS: f32 = 0.55;
 /// How steeply density rises from a cloud's surface inwards. Tuned by eye against photographs of cumulus.
-const SURFACE_STEEPNESS: f32 = 4.0;
+const SURFACE_STEEPNESS: f32 = 6.0;
 /// Shape noise is squeezed into this floor and range: the rest of the threshold is the dimensional profile's, which keeps
 /// bodies whole instead of scattering crumbs above them. Tuned by eye against photographs of cumulus.
-const SHAPE_FLOOR: f32 = 0.3;
+const SHAPE_FLOOR: f32 = 0.34;
 const SHAPE_RANGE: f32 = 0.6;
 /// Mean of both detail channels: what stands for detail that is too fine to be seen.
 const DETAIL_MEAN: f32 = 0.5;

@@ -2,11 +2,13 @@
 #import skycell::octahedral::octahedral_from_direction
 #import skycell::march::LayerRadiance
 
-@group(2) @binding(0) var<storage, read> page_table: array<u32>;
+/// Page tables as rows of TABLE_WIDTH entries. A texture and no buffer: software drivers read buffers lane by lane.
+@group(2) @binding(0) var page_table: texture_2d<u32>;
 @group(2) @binding(1) var atlas_radiance: texture_2d_array<f32>;
 @group(2) @binding(2) var atlas_distance: texture_2d_array<f32>;
 @group(2) @binding(3) var atlas_sampler: sampler;
 
+const TABLE_WIDTH: u32 = 1024u;
 const NO_TILE: u32 = 0xffffffffu;
 const TILE_STRIDE: u32 = 64u;
 const TILE_INTERIOR: f32 = 60.0;
@@ -53,7 +55,8 @@ fn cached_radiance(offset: u32, tiles_per_side: u32, from_anchor: vec3f) -> Laye
     let square = octahedral_from_direction(from_anchor);
     let tiles = f32(tiles_per_side);
     let tile = min(vec2u(square * tiles), vec2u(tiles_per_side - 1u));
-    let entry = page_table[offset + tile.y * tiles_per_side + tile.x];
+    let index = offset + tile.y * tiles_per_side + tile.x;
+    let entry = textureLoad(page_table, vec2u(index % TABLE_WIDTH, index / TABLE_WIDTH), 0).x;
     let level = (entry >> 16u) & 0xffu;
     let slot = entry & 0xffffu;
     let level_tiles = BASE_TILES << min(level, 16u);

@@ -27,6 +27,8 @@ struct View {
     sample_is_first: u32,
     /// Layer that a pass of the screen-space renderer marches.
     layer: u32,
+    /// Altitude of the position above the ground, m.
+    altitude_m: f32,
 }
 
 /// Direction of the ray through a point of the picture, in pixels from its upper left corner.

@@ -10,11 +10,12 @@ fn sign_not_zero(value: vec2f) -> vec2f {
     return select(vec2f(-1.0), vec2f(1.0), value >= vec2f(0.0));
 }
 
-/// Square coordinates of a unit direction.
+/// Square coordinates of a direction of any length but zero.
 fn octahedral_from_direction(direction: vec3f) -> vec2f {
     let across = abs(direction.xz);
-    // 1 - |y| = (x² + z²) / (1 + |y|) keeps its digits near the poles.
-    let radius = sqrt(dot(across, across) / (1.0 + abs(direction.y)));
+    // 1 - |y|/l = (x² + z²) / (l (l + |y|)) keeps its digits near the poles.
+    let length = sqrt(dot(direction, direction));
+    let radius = sqrt(dot(across, across) / (length * (length + abs(direction.y))));
     let angle = select(atan2(across.y, across.x) * TWO_OVER_PI, 0.0, across.x + across.y == 0.0);
     let v = angle * radius;
     let upper = vec2f(radius - v, v);

@@ -3,6 +3,7 @@
 #import skycell::octahedral::{octahedral_from_direction, direction_from_octahedral}
 #import skycell::phase::{phase_hg_per_sr, phase_draine_per_sr}
 #import skycell::transport::one_minus_exp_over
+#import skycell::tone::srgb_from_linear
 
 @group(0) @binding(0) var<storage, read> points: array<vec4f>;
 @group(0) @binding(1) var<storage, read_write> values: array<vec4f>;
@@ -37,6 +38,8 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
         }
         // (1 - e^-x) / x
         case 5u: { value.x = one_minus_exp_over(first.x); }
+        // sRGB of first.xyz
+        case 6u: { value = vec4f(srgb_from_linear(first.xyz), 0.0); }
         default: {}
     }
     values[id.x] = value;

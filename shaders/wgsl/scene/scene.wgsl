@@ -35,11 +35,19 @@ struct Sky {
     aerosol_asymmetry: f32,
     /// Radiance of the sunlit ground.
     ground_radiance: vec3f,
-    /// Extinction of the air near the ground for the aerial perspective, 1/m.
-    haze_extinction_per_m: f32,
-    /// Transmittance of sunlight down to the ground.
-    sun_transmittance: vec3f,
-    haze_scale_height_m: f32,
+    /// How much of the sun's light the sky still has: 1 by day, 0 at night.
+    lit: f32,
+    /// Optical depth of the whole column towards the sun, and e to its negative.
+    sun_column: vec3f,
+    pad_column: f32,
+    sun_column_kept: vec3f,
+    pad_kept: f32,
+    /// Higher orders of scattering per unit of what the column towards the viewer takes out, 1/sr.
+    diffuse_per_sr: vec3f,
+    pad_diffuse: f32,
+    /// Extinction of the air at the ground, per channel, 1/m.
+    ground_air_extinction_per_m: vec3f,
+    pad_ground: f32,
 }
 
 /// How light scatters in cloud.
@@ -92,6 +100,8 @@ struct Layer {
     step_per_distance: f32,
     /// Longest number of lit samples of a ray.
     steps_max: u32,
+    /// Mean extinction of the air between the ground and the proxy sphere, per channel, 1/m.
+    air_extinction_per_m: vec3f,
 }
 
 struct Scene {
