@@ -90,6 +90,24 @@ fn layout(gpu: &Gpu, label: &str, types: &[wgpu::BindingType]) -> wgpu::BindGrou
         })
 }
 
+/// A module without the checks that wgpu adds to shaders of strangers: clamps around every access and a counter in every
+/// loop. They cost about half of a composite on a software driver.
+#[allow(unsafe_code)]
+fn own_shader_module(gpu: &Gpu, kernel: Kernel, module: naga::Module) -> wgpu::ShaderModule {
+    let descriptor = wgpu::ShaderModuleDescriptor {
+        label: Some(kernel.entry_point()),
+        source: wgpu::ShaderSource::Naga(Cow::Owned(module)),
+    };
+    // SAFETY: the module is one of this workspace's own, validated by naga when it was composed. It indexes buffers by
+    // invocations that it compares with the picture's size, uniform arrays by constants or by layer and octave counts
+    // that the scene document bounds, page tables by coordinates in 0…1, and the atlas by slots that the pool has
+    // handed out. Its loops end: march steps and probes are counted against fixed limits.
+    unsafe {
+        gpu.device
+            .create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked())
+    }
+}
+
 impl Pipelines {
     /// The layouts; pipelines follow with [`Self::prepare`].
     #[must_use]
@@ -187,12 +205,7 @@ impl Pipelines {
             return Ok(());
         }
         let module = compose(key.kernel, key.features)?;
-        let shader = gpu
-            .device
-            .create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some(key.kernel.entry_point()),
-                source: wgpu::ShaderSource::Naga(Cow::Owned(module)),
-            });
+        let shader = own_shader_module(gpu, key.kernel, module);
         let groups = self.groups(key).map(Some);
         let pipeline_layout = gpu
             .device

@@ -27,8 +27,14 @@ fn srgb_from_linear(linear: vec3f) -> vec3f {
     return select(curve, 12.92 * linear, linear <= vec3f(0.0031308));
 }
 
-/// Rounds to 8 bits with a fixed pattern of half a step to either side, so that a resting picture does not flicker.
-fn dithered_bytes(encoded: vec3f, pixel: vec2u) -> u32 {
+/// Moves an encoded value by a fixed pattern of half an 8-bit step to either side before it is rounded, so that a smooth
+/// sky has no bands and a resting picture does not flicker.
+fn dithered(encoded: vec3f, pixel: vec2u) -> vec3f {
     let noise = fract(52.9829189 * fract(dot(vec2f(pixel), vec2f(0.06711056, 0.00583715)))) - 0.5;
-    return pack4x8unorm(vec4f(saturate(encoded + noise / 255.0), 1.0));
+    return saturate(encoded + noise / 255.0);
+}
+
+/// As above, packed.
+fn dithered_bytes(encoded: vec3f, pixel: vec2u) -> u32 {
+    return pack4x8unorm(vec4f(dithered(encoded, pixel), 1.0));
 }

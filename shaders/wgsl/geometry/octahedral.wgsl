@@ -4,10 +4,19 @@
 // solid angle 4π / N². P. Clarberg, "Fast Equal-Area Mapping of the (Hemi)Sphere using SIMD", 2008.
 
 const FRAC_PI_FOUR: f32 = 0.7853981633974483;
-const TWO_OVER_PI: f32 = 0.6366197723675814;
 
 fn sign_not_zero(value: vec2f) -> vec2f {
     return select(vec2f(-1.0), vec2f(1.0), value >= vec2f(0.0));
+}
+
+/// Angle of (x, y), both >= 0, in quarter turns, 0...1; 0 where both are 0. The polynomial is a minimax fit of
+/// atan(r) 2/π on 0...1 in odd powers with an error below 3e-08 before rounding; a general atan2 costs twice as much.
+fn quarter_turns(x: f32, y: f32) -> f32 {
+    let large = max(x, y);
+    let r = min(x, y) / max(large, 1e-30);
+    let s = r * r;
+    let a = r * (0.6366193294525146 + s * (-0.21218448877334595 + s * (0.12698377668857574 + s * (-0.08854507654905319 + s * (0.06138411536812782 + s * (-0.035594865679740906 + s * (0.013918370939791203 + s * -0.0025812117382884026)))))));
+    return select(a, 1.0 - a, y > x);
 }
 
 /// Square coordinates of a direction of any length but zero.
@@ -16,7 +25,7 @@ fn octahedral_from_direction(direction: vec3f) -> vec2f {
     // 1 - |y|/l = (x² + z²) / (l (l + |y|)) keeps its digits near the poles.
     let length = sqrt(dot(direction, direction));
     let radius = sqrt(dot(across, across) / (length * (length + abs(direction.y))));
-    let angle = select(atan2(across.y, across.x) * TWO_OVER_PI, 0.0, across.x + across.y == 0.0);
+    let angle = quarter_turns(across.x, across.y);
     let v = angle * radius;
     let upper = vec2f(radius - v, v);
     let folded = select(upper, vec2f(1.0) - upper.yx, direction.y < 0.0);
