@@ -12,7 +12,7 @@ fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
     if pixel.x >= view.width || pixel.y >= view.height { return; }
     let direction = pixel_direction(view, vec2f(pixel) + 0.5 + sample_offset(view.sample_index));
     let start = sample_start_fraction(vec2f(pixel), view.sample_index);
-    let sample = march_layer(view.layer, view.position, direction, start, view.pixel_angle_rad);
+    let sample = march_layer(view.layer, view.position, direction, start);
     let at = ((view.layer * view.height + pixel.y) * view.width + pixel.x) * 5u;
     let weight = view.sample_weight;
     if view.sample_is_first == 1u {

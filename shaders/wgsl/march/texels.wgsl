@@ -10,6 +10,10 @@ const TILE_INTERIOR: u32 = 60u;
 /// Tiles along a page (an array layer) of the atlas.
 const PAGE_TILES: u32 = 16u;
 
+/// Width of what the samples of a texel cover. Texels are a half to 1.1 pixels wide; wider footprints bring their mean to
+/// that of a pixel. Tuned: FLIP against the screen-space renderer (`tests/tests/accuracy.rs`).
+const FOOTPRINT_TEXELS: f32 = 0.7;
+
 /// One tile that takes one more sample.
 struct TileWork {
     tile: vec2u,
@@ -43,7 +47,7 @@ fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
     let item = work[group.z];
     let stored = group.xy * 8u + local.xy;
     let texel = vec2f(item.tile * TILE_INTERIOR) + vec2f(stored) - f32(GUTTER);
-    let square = (texel + 0.5 + sample_offset(item.sample_index)) / item.texels_per_side;
+    let square = (texel + 0.5 + FOOTPRINT_TEXELS * sample_offset(item.sample_index)) / item.texels_per_side;
 
     let layer = scene.layers[item.layer];
     let from_anchor = direction_from_octahedral(square);
@@ -52,10 +56,8 @@ fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
     let on_sphere = layer.anchor + from_anchor * max(sphere.far_m, 1e-3);
     let direction = normalize(on_sphere - reference.position);
 
-    // Equal area: every texel has the solid angle 4π / N².
-    let texel_angle = 3.5449077018110318 / item.texels_per_side;
     let start = sample_start_fraction(texel, item.sample_index);
-    let sample = march_layer(item.layer, reference.position, direction, start, texel_angle);
+    let sample = march_layer(item.layer, reference.position, direction, start);
 
     let scratch = vec2u(item.previous % PAGE_TILES, item.previous / PAGE_TILES) * TILE_STRIDE + stored;
     let old_radiance = textureLoad(previous_radiance, scratch, 0);
