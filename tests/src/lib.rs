@@ -9,7 +9,6 @@ pub use browser::{Browser, Tab};
 pub use server::{Server, ServerOptions};
 pub use viewer::{Seen, Viewer};
 
-use std::future::Future;
 use std::time::Duration;
 
 /// Longer than anything that a test waits for, noise and shader compilation on a slow machine included.
@@ -19,10 +18,10 @@ pub const PATIENCE: Duration = Duration::from_secs(90);
 ///
 /// # Errors
 /// When an attempt fails or the time is up.
-pub async fn until<T, F>(what: &str, mut attempt: impl FnMut() -> F) -> anyhow::Result<T>
-where
-    F: Future<Output = anyhow::Result<Option<T>>>,
-{
+pub async fn until<T>(
+    what: &str,
+    mut attempt: impl AsyncFnMut() -> anyhow::Result<Option<T>>,
+) -> anyhow::Result<T> {
     let asking = async {
         loop {
             if let Some(answer) = attempt().await? {

@@ -323,10 +323,8 @@ fn find_binaries() -> anyhow::Result<PathBuf> {
         .args([
             "build",
             "--release",
-            "-p",
-            "skycell-server",
-            "-p",
-            "skycell-client",
+            "--workspace",
+            "--bins",
             "--target-dir",
         ])
         .arg(&target)
