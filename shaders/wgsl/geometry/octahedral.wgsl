@@ -10,14 +10,25 @@ fn sign_not_zero(value: vec2f) -> vec2f {
     return select(vec2f(-1.0), vec2f(1.0), value >= vec2f(0.0));
 }
 
+/// Angle from the x axis of a vector in the first quadrant, as a share of it: 0 on x, 1 on y, 0 for the null vector.
+/// The arctangent is Abramowitz & Stegun 4.4.49, |error| <= 2e-8: the built-in one may be wrong by 4096 units (Vulkan),
+/// and is by 3e-6 on Mesa's software driver.
+fn quadrant_share(vector: vec2f) -> f32 {
+    let high = max(vector.x, vector.y);
+    let slope = select(min(vector.x, vector.y) / high, 0.0, high == 0.0);
+    let s = slope * slope;
+    let far = ((((0.0028662257 * s - 0.0161657367) * s + 0.0429096138) * s - 0.0752896400) * s + 0.1065626393) * s;
+    let share = slope * ((((far - 0.1420889944) * s + 0.1999355085) * s - 0.3333314528) * s + 1.0) * TWO_OVER_PI;
+    return select(share, 1.0 - share, vector.y > vector.x);
+}
+
 /// Square coordinates of a direction of any length but zero.
 fn octahedral_from_direction(direction: vec3f) -> vec2f {
     let across = abs(direction.xz);
     // 1 - |y|/l = (x² + z²) / (l (l + |y|)) keeps its digits near the poles.
     let length = sqrt(dot(direction, direction));
     let radius = sqrt(dot(across, across) / (length * (length + abs(direction.y))));
-    let angle = select(atan2(across.y, across.x) * TWO_OVER_PI, 0.0, across.x + across.y == 0.0);
-    let v = angle * radius;
+    let v = quadrant_share(across) * radius;
     let upper = vec2f(radius - v, v);
     let folded = select(upper, vec2f(1.0) - upper.yx, direction.y < 0.0);
     return 0.5 + 0.5 * folded * sign_not_zero(direction.xz);
