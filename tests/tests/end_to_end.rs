@@ -16,7 +16,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::protocol::frame::Frame as WireFrame;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::{Data, OpCode};
 use tokio_tungstenite::tungstenite::{Error, Message};
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, client_async, connect_async};
 
 type Outcome = anyhow::Result<()>;
 type Socket = WebSocketStream<MaybeTlsStream<tokio::net::TcpStream>>;
@@ -322,11 +322,11 @@ async fn a_viewer_that_stops_reading_costs_no_memory_and_slows_no_neighbour() ->
     let at = camera([0.0, 2.0, 0.0], 0.0, 20.0)?;
     let mut hello = Hello::new(FrameSize::new(640, 360)?, 30.0, at);
     hello.codec = Codec::Png;
-    let mut stalled = raw_session(&server, &hello).await?;
+    let mut stalled = session(narrow_socket(&server).await?, &hello).await?;
 
     // It turns and acknowledges like one that reads, so that the server has every reason to send it frames.
     let mut input = 0;
-    let mut turn = async |seconds: u64| {
+    let mut turn_and_count_sent = async |seconds: u64| {
         let until = tokio::time::Instant::now() + Duration::from_secs(seconds);
         while tokio::time::Instant::now() < until {
             input += 1;
@@ -342,19 +342,44 @@ async fn a_viewer_that_stops_reading_costs_no_memory_and_slows_no_neighbour() ->
             }
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
-        anyhow::Ok(())
+        let viewers = server.get("api/v1/viewers").await?;
+        let other = |viewer: &&Value| viewer["id"] != neighbour.id().0;
+        let viewer = viewers.as_array().and_then(|all| all.iter().find(other));
+        let sent = viewer.and_then(|viewer| viewer["frames_sent"].as_u64());
+        sent.with_context(|| format!("the stalled viewer is gone: {viewers}"))
     };
-    turn(6).await?;
+    // Until the sockets are full and the caches hold what the turning cameras see: that memory is not the stalled one's.
+    let mut settled = (
+        turn_and_count_sent(3).await?,
+        server.total("cache_bytes").await?,
+    );
+    for tries in 0.. {
+        ensure!(
+            tries < 15,
+            "frames sent to a viewer that does not read, or cache bytes, still rise: {settled:?}"
+        );
+        let now = (
+            turn_and_count_sent(3).await?,
+            server.total("cache_bytes").await?,
+        );
+        if std::mem::replace(&mut settled, now) == now {
+            break;
+        }
+    }
+    let (sent, _) = settled;
     let warm = server.memory_kib();
     let frames = neighbour.seen().frames;
-    turn(6).await?;
+    assert_eq!(
+        turn_and_count_sent(6).await?,
+        sent,
+        "the viewer was not stalled"
+    );
     let seen = neighbour.seen().frames - frames;
     assert!(seen >= 6, "the neighbour got {seen} frames in 6 s");
     match (warm, server.memory_kib()) {
         (Some(before), Some(after)) => {
-            println!(
-                "server memory {before} KiB, 6 s later {after} KiB; the neighbour got {seen} frames"
-            );
+            println!("{sent} frames sent to the stalled viewer, {seen} in 6 s to its neighbour");
+            println!("server memory {before} KiB, 6 s later {after} KiB");
             assert!(
                 after < before + STALL_GROWTH_MAX_KIB,
                 "memory grew from {before} to {after} KiB"
@@ -374,8 +399,24 @@ async fn raw_socket(server: &Server) -> anyhow::Result<Socket> {
     Ok(connect_async(request).await?.0)
 }
 
+/// The same with a receive buffer that a picture does not fit in.
+async fn narrow_socket(server: &Server) -> anyhow::Result<Socket> {
+    let socket = tokio::net::TcpSocket::new_v4()?;
+    socket.set_recv_buffer_size(4096)?;
+    let stream = socket.connect(server.address().parse()?).await?;
+    let mut request = format!("ws://{}/ws", server.address()).into_client_request()?;
+    let headers = request.headers_mut();
+    headers.insert("sec-websocket-protocol", "skycell.v1".parse()?);
+    Ok(client_async(request, MaybeTlsStream::Plain(stream))
+        .await?
+        .0)
+}
+
 async fn raw_session(server: &Server, hello: &Hello) -> anyhow::Result<Socket> {
-    let mut socket = raw_socket(server).await?;
+    session(raw_socket(server).await?, hello).await
+}
+
+async fn session(mut socket: Socket, hello: &Hello) -> anyhow::Result<Socket> {
     let mut message = serde_json::to_value(hello)?;
     message["type"] = json!("hello");
     socket.send(Message::text(message.to_string())).await?;
