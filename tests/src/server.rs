@@ -87,6 +87,8 @@ impl Server {
             .arg(&state)
             .arg("--config")
             .arg(&config)
+            // Ours, not the server's, which warns of SKYCELL_ variables that it does not know.
+            .env_remove("SKYCELL_BIN_DIR")
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(std::fs::File::create(&log)?)
