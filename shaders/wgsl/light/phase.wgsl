@@ -9,11 +9,14 @@ fn one_minus_mu(a: vec3f, b: vec3f) -> f32 {
     return 0.5 * dot(difference, difference);
 }
 
-/// Henyey-Greenstein phase, 1/sr. Denominator as (1-g)² + 2g(1-µ), which keeps its digits in the forward peak.
+/// Henyey-Greenstein phase, 1/sr. The denominator 1 + g² - 2gµ is taken as (1-|g|)² + 2|g|x with x = 1-µ for a forward
+/// and 1+µ for a backward peak: a sum of positive terms, which keeps its digits in either peak.
 /// |g| < 1, so the base is at least (1-|g|)² > 0.
 fn phase_hg_per_sr(g: f32, one_minus_mu: f32) -> f32 {
-    let base = (1.0 - g) * (1.0 - g) + 2.0 * g * one_minus_mu;
-    return (1.0 - g * g) / (FOUR_PI * base * sqrt(base));
+    let sharpness = abs(g);
+    let from_peak = select(2.0 - one_minus_mu, one_minus_mu, g >= 0.0);
+    let base = (1.0 - sharpness) * (1.0 - sharpness) + 2.0 * sharpness * from_peak;
+    return (1.0 - sharpness) * (1.0 + sharpness) / (FOUR_PI * base * sqrt(base));
 }
 
 /// Draine's phase, 1/sr: HG · (1 + α µ²) / (1 + α (1 + 2 g²) / 3). B. Draine, ApJ 598 (2003), eq. 4.
