@@ -39,6 +39,13 @@ pub struct Want {
     pub distance_m: f64,
 }
 
+impl Want {
+    /// Samples that the tile should average: one where it only fills in for tiles that are not there yet.
+    fn samples(&self, samples: u32) -> u32 {
+        if self.viewers == 0 { 1 } else { samples }
+    }
+}
+
 /// How urgent an update is: smaller first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Urgency {
@@ -50,8 +57,6 @@ pub(super) enum Urgency {
     Stale,
     /// Has fewer samples than it should.
     Unfinished,
-    /// Part of the coarse level with fewer samples than it should.
-    CoarseUnfinished,
     /// Seen from elsewhere than where the reference is now.
     Aged,
 }
@@ -179,8 +184,11 @@ impl SphereCache {
     #[must_use]
     pub fn pending_samples(&self, samples: u32) -> u64 {
         self.wanted
-            .keys()
-            .map(|key| u64::from(samples.saturating_sub(self.samples_of(key).unwrap_or(0))))
+            .iter()
+            .map(|(key, want)| {
+                let have = self.samples_of(key).unwrap_or(0);
+                u64::from(want.samples(samples).saturating_sub(have))
+            })
             .sum()
     }
 
@@ -196,6 +204,7 @@ impl SphereCache {
             let coarse = key.level == 0;
             let tile = self.tiles.get(key);
             let have = self.samples_of(key).unwrap_or(0);
+            let samples = want.samples(samples);
             let urgency = match tile {
                 None if coarse => Urgency::Coarse,
                 None => Urgency::Missing,
@@ -203,7 +212,6 @@ impl SphereCache {
                 Some(tile) if tile.visits == 0 => Urgency::Missing,
                 Some(_) if have == 0 && coarse => Urgency::Coarse,
                 Some(_) if have == 0 => Urgency::Stale,
-                Some(_) if have < samples && want.viewers == 0 => Urgency::CoarseUnfinished,
                 Some(_) if have < samples => Urgency::Unfinished,
                 Some(tile) if age_rad(tile, reference, want.distance_m) > AGE_REFRESH_RAD => {
                     Urgency::Aged

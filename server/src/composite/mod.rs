@@ -60,6 +60,19 @@ pub fn view_uniform(frustum: &ViewFrustum, frame: &CellFrame, size: FrameSize) -
     }
 }
 
+/// What a composite reads.
+#[derive(Clone, Copy, Debug)]
+pub struct CompositeInputs<'a> {
+    /// Which specialisation.
+    pub key: PipelineKey,
+    /// Group 0: the scene in the frame of the viewer's cell.
+    pub scene: &'a wgpu::BindGroup,
+    /// Group 2: the cell's cache or the viewer's marched pixels.
+    pub layers: &'a wgpu::BindGroup,
+    /// The viewer's camera.
+    pub view: &'a layout::View,
+}
+
 /// Where a viewer's picture is written.
 #[derive(Debug)]
 pub struct Picture {
@@ -120,31 +133,28 @@ impl Picture {
         &self.pixels
     }
 
-    /// Records the composite; `layers` is group 2: the cell's cache or the viewer's marched pixels.
+    /// Records the composite.
     pub fn record(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         timing: &mut TimingRing,
         pipelines: &Pipelines,
-        key: PipelineKey,
-        scene: &wgpu::BindGroup,
-        layers: &wgpu::BindGroup,
-        view: &layout::View,
+        inputs: &CompositeInputs<'_>,
     ) {
-        let Some(pipeline) = pipelines.get(key) else {
+        let Some(pipeline) = pipelines.get(inputs.key) else {
             return;
         };
         gpu.queue
-            .write_buffer(&self.view, 0, bytemuck::bytes_of(view));
+            .write_buffer(&self.view, 0, bytemuck::bytes_of(inputs.view));
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("composite"),
             timestamp_writes: timing.pass(TimedPass::Composite, 1),
         });
         pass.set_pipeline(pipeline);
-        pass.set_bind_group(0, scene, &[]);
+        pass.set_bind_group(0, inputs.scene, &[]);
         pass.set_bind_group(1, &pipelines.empty_group, &[]);
-        pass.set_bind_group(2, layers, &[]);
+        pass.set_bind_group(2, inputs.layers, &[]);
         pass.set_bind_group(3, &self.group, &[]);
         pass.dispatch_workgroups(
             self.size.width().div_ceil(16),

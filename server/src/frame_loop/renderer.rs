@@ -9,7 +9,7 @@ use crate::cache::{
 };
 use crate::cells::Cells;
 use crate::clock::unix_now_us;
-use crate::composite::{Picture, composite_key, view_frustum, view_uniform};
+use crate::composite::{CompositeInputs, Picture, composite_key, view_frustum, view_uniform};
 use crate::config::{PlacedCell, RenderConfig};
 use crate::field::FieldStore;
 use crate::gpu::{
@@ -17,8 +17,8 @@ use crate::gpu::{
 };
 use crate::march::{
     ActiveLayer, Atlas, BATCH_TILES_MAX, CellBuffers, CellFrame, MarchSettings, MarchedPixels,
-    SkyLight, TexelGroup, TexelMarch, active_layers, layer_features, pixels_key, scene_uniform,
-    sky_light, texels_key,
+    PixelStrip, SkyLight, TexelGroup, TexelMarch, active_layers, layer_features, pixels_key,
+    scene_uniform, sky_light, texels_key,
 };
 use glam::DVec3;
 use skycell_protocol::scene::DensityModel;
@@ -34,7 +34,7 @@ use std::time::Instant;
 /// Pictures of a viewer that may be on their way back from the device or wait to be encoded.
 const READBACKS_PER_VIEWER: usize = 3;
 /// Beyond this distance between anchor and reference the cache's texels no longer have even sizes for the viewers.
-const ANCHOR_DRIFT_MAX_M: f64 = 1_500.0;
+const ANCHOR_DRIFT_MAX_M: f64 = 4_000.0;
 
 /// Where a layer's addresses are centred: follows the layer's wind.
 #[derive(Clone, Copy, Debug)]
@@ -636,10 +636,12 @@ impl SkyRenderer {
             &self.gpu,
             &mut self.timing,
             &self.pipelines,
-            &cell.buffers,
-            features,
-            view,
-            rows,
+            &PixelStrip {
+                cell: &cell.buffers,
+                features,
+                view,
+                rows,
+            },
         );
         true
     }
@@ -663,10 +665,10 @@ impl SkyRenderer {
             let Some(mut viewer) = self.viewers.remove(id) else {
                 continue;
             };
-            if let Some(buffer) = viewer.ring.take(&self.gpu) {
-                if self.record_frame(&mut encoder, &viewer, &buffer).is_some() {
-                    under_way.push((*id, buffer));
-                }
+            if let Some(buffer) = viewer.ring.take(&self.gpu)
+                && self.record_frame(&mut encoder, &viewer, &buffer).is_some()
+            {
+                under_way.push((*id, buffer));
             }
             self.viewers.insert(*id, viewer);
         }
@@ -744,15 +746,17 @@ impl SkyRenderer {
             encoder,
             &mut self.timing,
             &self.pipelines,
-            composite_key(
-                self.config.frame_filter,
-                self.active.len(),
-                screen_space,
-                false,
-            ),
-            &cell.buffers.scene_group,
-            &layers,
-            &view,
+            &CompositeInputs {
+                key: composite_key(
+                    self.config.frame_filter,
+                    self.active.len(),
+                    screen_space,
+                    false,
+                ),
+                scene: &cell.buffers.scene_group,
+                layers: &layers,
+                view: &view,
+            },
         );
         self.counters.dispatches += 1;
         encoder.copy_buffer_to_buffer(viewer.picture.pixels(), 0, target, 0, target.size());
@@ -791,10 +795,12 @@ impl SkyRenderer {
             &mut encoder,
             &mut self.timing,
             &self.pipelines,
-            key,
-            &cell.buffers.scene_group,
-            &layers,
-            &view,
+            &CompositeInputs {
+                key,
+                scene: &cell.buffers.scene_group,
+                layers: &layers,
+                view: &view,
+            },
         );
         self.timing.resolve(&mut encoder);
         self.submit(encoder);
@@ -809,7 +815,7 @@ impl SkyRenderer {
         for id in self.active_cells.keys() {
             for (_, sphere) in self.caches.spheres_of(*id) {
                 let (_, unique) = sphere.requested_and_unique();
-                wanted += (unique + sphere.coarse_only()) * u64::from(samples);
+                wanted += unique * u64::from(samples) + sphere.coarse_only();
                 pending += sphere.pending_samples(samples);
             }
         }

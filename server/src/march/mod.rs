@@ -11,7 +11,7 @@ mod uniforms;
 pub use atlas::{Atlas, TILES_PER_PAGE};
 pub use cell_buffers::CellBuffers;
 pub use frame::CellFrame;
-pub use pixels::{MarchedPixels, pixels_key};
+pub use pixels::{MarchedPixels, PixelStrip, pixels_key};
 pub use sky::{SkyLight, sky_light};
 pub use texels::{BATCH_TILES_MAX, TexelGroup, TexelMarch, texels_key};
 pub use uniforms::{

@@ -24,6 +24,19 @@ pub fn pixels_key(layer: Features) -> PipelineKey {
     }
 }
 
+/// Rows that take one sample of one layer.
+#[derive(Clone, Copy, Debug)]
+pub struct PixelStrip<'a> {
+    /// The viewer's cell on the device.
+    pub cell: &'a CellBuffers,
+    /// What the layer's pipeline is specialised to.
+    pub features: Features,
+    /// The camera, the first row, the layer and the sample.
+    pub view: &'a layout::View,
+    /// How many rows.
+    pub rows: u32,
+}
+
 /// One viewer's marched pixels.
 #[derive(Debug)]
 pub struct MarchedPixels {
@@ -99,17 +112,20 @@ impl MarchedPixels {
         &self.read_group
     }
 
-    /// Submits one sample of one layer for rows from `view.first_row` on; returns the rows of whole blocks marched.
+    /// Submits one sample of one layer for rows from `view.first_row` on.
     pub fn submit_strip(
         &self,
         gpu: &Gpu,
         timing: &mut TimingRing,
         pipelines: &Pipelines,
-        cell: &CellBuffers,
-        features: Features,
-        view: &layout::View,
-        rows: u32,
+        strip: &PixelStrip<'_>,
     ) {
+        let PixelStrip {
+            cell,
+            features,
+            view,
+            rows,
+        } = *strip;
         let Some(pipeline) = pipelines.get(pixels_key(features)) else {
             return;
         };
