@@ -8,8 +8,8 @@ use skycell_server::frame_loop::{StillPixels, StillRenderer};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-const FLIP_GUARD: f32 = 0.02;
-const SSIM_GUARD: f64 = 0.9;
+const FLIP_GUARD: f32 = 0.0105;
+const SSIM_GUARD: f64 = 0.963;
 
 fn renderer(samples: u32, mip_bias: f32) -> StillRenderer {
     let mut config = RenderConfig::new(PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("noise"));
