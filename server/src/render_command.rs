@@ -28,7 +28,7 @@ pub struct RenderArguments {
     #[arg(long, default_value_t = 720)]
     pub height: u32,
     /// Eye: x (east), altitude, z (south), metres.
-    #[arg(long, value_delimiter = ',', num_args = 3, default_values_t = [0.0, 2.0, 0.0], allow_negative_numbers = true)]
+    #[arg(long, value_delimiter = ',', num_args = 1, value_name = "X,Y,Z", default_values_t = [0.0, 2.0, 0.0], allow_negative_numbers = true)]
     pub position_m: Vec<f64>,
     /// Where the middle of the picture looks, clockwise from north.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
@@ -43,7 +43,8 @@ pub struct RenderArguments {
     #[arg(
         long,
         value_delimiter = ',',
-        num_args = 3,
+        num_args = 1,
+        value_name = "X,Y,Z",
         allow_negative_numbers = true
     )]
     pub reference_m: Option<Vec<f64>>,

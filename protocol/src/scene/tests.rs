@@ -18,7 +18,7 @@ fn the_default_document_is_a_scene() {
 fn the_default_document_is_pinned() {
     let expected = json!({
         "version": 1,
-        "planet": {"radius_m": 6360000.0, "ground_albedo": 0.2},
+        "planet": {"radius_m": 6360000.0, "ground_albedo": 0.1},
         "sun": {
             "azimuth_deg": 150.0, "elevation_deg": 40.0,
             "irradiance_w_per_m2_nm": [1.474, 1.8504, 1.91198]
@@ -28,7 +28,7 @@ fn the_default_document_is_pinned() {
             "name": "low", "base_altitude_m": 1500.0, "top_altitude_m": 4000.0,
             "density": {
                 "model": "weather", "coverage": 0.45, "type": 0.7, "map_span_m": 40000.0,
-                "shape_period_m": 5000.0, "detail_period_m": 900.0, "detail_strength": 0.35,
+                "shape_period_m": 5000.0, "detail_period_m": 420.0, "detail_strength": 0.3,
                 "seed": 1
             },
             "extinction_per_m": 0.05, "single_scattering_albedo": 0.9999, "wind": null

@@ -26,8 +26,8 @@ const RESTING_BATCH: Duration = Duration::from_millis(60);
 const REFINE_INTERVAL: Duration = Duration::from_millis(200);
 /// A viewer that has moved within this time is moving.
 const MOVING_FOR: Duration = Duration::from_millis(500);
-/// A new viewer's first frame waits this long for the coarse level at most.
-const FIRST_FRAME_WAIT: Duration = Duration::from_millis(500);
+/// Frames of a cell whose caches have just begun wait this long for the coarse level at most: no cloudless sky flashes.
+const COARSE_WAIT: Duration = Duration::from_millis(500);
 /// The sky must have moved this share of a pixel before a resting view is composited again.
 const MOTION_PIXELS: f64 = 0.25;
 /// Figures are published this often.
@@ -51,7 +51,6 @@ enum Change {
 /// A viewer's timing.
 #[derive(Debug)]
 struct Pace {
-    joined: Instant,
     due: Instant,
     moved: Instant,
     composited: Option<Instant>,
@@ -145,7 +144,6 @@ impl FrameLoop {
             RenderCommand::Join { viewer, view } => {
                 self.renderer.join(viewer, view);
                 let pace = Pace {
-                    joined: now,
                     due: now,
                     moved: now,
                     composited: None,
@@ -260,11 +258,10 @@ impl FrameLoop {
             .filter(|(id, pace)| {
                 self.renderer.viewers.get(id).is_some_and(|viewer| {
                     // Screen-space pictures are composited when a sample is complete.
-                    viewer.view.renderer == RendererKind::Cached
+                    viewer.kind == RendererKind::Cached
                         && viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX
                         && self.due_at(pace).is_some_and(|due| due <= now)
-                        && (pace.composited.is_some()
-                            || now.duration_since(pace.joined) > FIRST_FRAME_WAIT
+                        && (self.renderer.cell_age(viewer) > COARSE_WAIT
                             || self.renderer.coarse_is_ready(viewer))
                 })
             })
@@ -365,7 +362,7 @@ impl FrameLoop {
             .renderer
             .viewers
             .iter()
-            .filter(|(_, viewer)| viewer.view.renderer == RendererKind::ScreenSpace)
+            .filter(|(_, viewer)| viewer.kind == RendererKind::ScreenSpace)
             .map(|(id, _)| *id)
             .collect();
         for id in ids {

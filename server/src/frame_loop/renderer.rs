@@ -29,7 +29,7 @@ use skycell_shaders::{Features, layout};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Pictures of a viewer that may be on their way back from the device or wait to be encoded.
 const READBACKS_PER_VIEWER: usize = 3;
@@ -50,6 +50,8 @@ struct ActiveCell {
     anchors: Vec<Anchor>,
     coarse: Vec<Vec<TileRequest>>,
     buffers: CellBuffers,
+    /// When its caches began.
+    begun: Instant,
     /// Requests or reference have changed since the caches were told.
     requests_changed: bool,
 }
@@ -59,6 +61,8 @@ pub(super) struct ActiveViewer {
     pub(super) view: ViewRequest,
     pub(super) input: InputSequence,
     pub(super) cell: CellId,
+    /// Which renderer makes its frames: the one that it asks for, or rays of its own where the cache does not reach.
+    pub(super) kind: RendererKind,
     requests: Vec<Vec<TileRequest>>,
     picture: Picture,
     ring: ReadbackRing,
@@ -177,8 +181,13 @@ impl SkyRenderer {
         } else if marches_differ(&old, &self.scene) {
             self.caches.age_all();
         }
-        for viewer in self.viewers.values_mut() {
-            viewer.screen_space = None;
+        let views: Vec<(ViewerId, ViewRequest)> =
+            self.viewers.iter().map(|(id, v)| (*id, v.view)).collect();
+        for (id, view) in views {
+            self.choose_renderer(id, &view);
+            if let Some(viewer) = self.viewers.get_mut(&id) {
+                viewer.screen_space = None;
+            }
         }
         self.touch_all_requests();
         Ok(())
@@ -255,6 +264,7 @@ impl SkyRenderer {
             anchors,
             coarse: Vec::new(),
             buffers: CellBuffers::new(&self.gpu, &self.pipelines, &self.field.bind_group),
+            begun: Instant::now(),
             requests_changed: true,
         }
     }
@@ -321,6 +331,7 @@ impl SkyRenderer {
         let cell = self.place(id, &view.camera);
         let bytes = u64::from(view.size.pixels()) * 4;
         let viewer = ActiveViewer {
+            kind: self.kind_of(&view),
             view,
             input: InputSequence(0),
             cell,
@@ -334,6 +345,32 @@ impl SkyRenderer {
         };
         self.viewers.insert(id, viewer);
         self.change_requests(cell);
+    }
+
+    /// The renderer for a view. Proxy spheres are marched and blended from below: a viewer in or above a layer gets rays
+    /// of its own.
+    fn kind_of(&self, view: &ViewRequest) -> RendererKind {
+        let altitude_m = view.camera.position_m()[1];
+        let below_all = self
+            .active
+            .iter()
+            .all(|layer| altitude_m < self.scene.layers()[layer.scene_index].base_altitude_m());
+        if below_all {
+            view.renderer
+        } else {
+            RendererKind::ScreenSpace
+        }
+    }
+
+    fn choose_renderer(&mut self, id: ViewerId, view: &ViewRequest) {
+        let kind = self.kind_of(view);
+        if let Some(viewer) = self.viewers.get_mut(&id)
+            && viewer.kind != kind
+        {
+            viewer.kind = kind;
+            viewer.screen_space = None;
+            viewer.requests.clear();
+        }
     }
 
     fn change_requests(&mut self, cell: CellId) {
@@ -350,7 +387,8 @@ impl SkyRenderer {
         viewer.view.camera = camera;
         viewer.input = input;
         viewer.requests.clear();
-        let mut cell = viewer.cell;
+        let (mut cell, view) = (viewer.cell, viewer.view);
+        self.choose_renderer(id, &view);
         if moved {
             let old = cell;
             cell = self.place(id, &camera);
@@ -457,7 +495,7 @@ impl SkyRenderer {
                 cell.coarse = spheres.iter().map(|s| coarse_tiles(s, eye)).collect();
             }
             for viewer in self.viewers.values_mut().filter(|v| v.cell == id) {
-                if viewer.view.renderer == RendererKind::ScreenSpace {
+                if viewer.kind == RendererKind::ScreenSpace {
                     continue;
                 }
                 if windy || viewer.requests.len() != spheres.len() {
@@ -471,7 +509,7 @@ impl SkyRenderer {
             let cached_viewers = || {
                 self.viewers
                     .values()
-                    .filter(move |v| v.cell == id && v.view.renderer == RendererKind::Cached)
+                    .filter(move |v| v.cell == id && v.kind == RendererKind::Cached)
             };
             // Nobody who reads the cache: nobody who needs its coarse level.
             let used = cached_viewers().next().is_some();
@@ -577,6 +615,13 @@ impl SkyRenderer {
     /// Submissions that the device has not finished.
     pub(super) fn in_flight(&self) -> u32 {
         self.in_flight.load(Ordering::Acquire)
+    }
+
+    /// How long a viewer's cell has had its caches.
+    pub(super) fn cell_age(&self, viewer: &ActiveViewer) -> Duration {
+        self.active_cells
+            .get(&viewer.cell)
+            .map_or(Duration::ZERO, |cell| cell.begun.elapsed())
     }
 
     /// Whether the coarse level of a viewer's cell shows the present sky.
@@ -730,7 +775,7 @@ impl SkyRenderer {
     ) -> Option<()> {
         let view = self.view_of(viewer)?;
         let cell = self.active_cells.get_mut(&viewer.cell)?;
-        let screen_space = viewer.view.renderer == RendererKind::ScreenSpace;
+        let screen_space = viewer.kind == RendererKind::ScreenSpace;
         let (layers, view) = match (screen_space, &viewer.screen_space) {
             (true, Some(job)) => (job.marched().read_group().clone(), job.view()),
             (true, None) => return None,

@@ -35,7 +35,7 @@ impl SkyRenderer {
     /// Whether a screen-space viewer's picture lacks samples.
     pub(super) fn screen_space_pending(&self, id: ViewerId) -> bool {
         self.viewers.get(&id).is_some_and(|viewer| {
-            viewer.view.renderer == RendererKind::ScreenSpace
+            viewer.kind == RendererKind::ScreenSpace
                 && viewer
                     .screen_space
                     .as_ref()

@@ -54,7 +54,7 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
                 texels_requested: viewer.texels_requested(),
                 frames_composited: viewer.frames_composited,
                 frames_in_flight: viewer.frames_in_flight(),
-                renderer: viewer.view.renderer,
+                renderer: viewer.kind,
             })
             .collect(),
     }

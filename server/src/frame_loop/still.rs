@@ -98,7 +98,11 @@ impl StillRenderer {
             },
         );
         let filter = renderer.config.frame_filter;
-        let screen_space = kind == RendererKind::ScreenSpace;
+        // A camera in or above the clouds is rendered with rays of its own, whatever was asked for.
+        let screen_space = renderer
+            .viewers
+            .get(&VIEWER)
+            .is_some_and(|viewer| viewer.kind == RendererKind::ScreenSpace);
         let key = composite_key(filter, renderer.active.len(), screen_space, linear);
         renderer.pipelines.prepare(&renderer.gpu, key)?;
         renderer.refresh_cells();

@@ -42,6 +42,18 @@ struct Reference {
 @group(2) @binding(4) var atlas_radiance: texture_storage_2d_array<rgba16float, write>;
 @group(2) @binding(5) var atlas_distance: texture_storage_2d_array<r32float, write>;
 
+/// A direction raised to the horizon of a position, where it lies below. Texels under the horizon repeat what stands on
+/// it: viewers' own rays decide what the ground hides, and reads across the horizon find sky on both sides.
+fn above_horizon(direction: vec3f, position: vec3f) -> vec3f {
+    let altitude = max(altitude_m(scene.planet.radius_m, position), 0.0);
+    // sin of the dip is sqrt(h (2R + h)) / (R + h); a little less, so that rounding does not bury the ray.
+    let dip = sqrt(altitude * (2.0 * scene.planet.radius_m + altitude)) / (scene.planet.radius_m + altitude);
+    return normalize(vec3f(direction.x, max(direction.y, 2e-5 - dip), direction.z));
+}
+
+/// Largest value that is stored: half floats end at 65 504, and the phases of unscaled octaves can exceed that.
+const STORED_MAX: f32 = 6e4;
+
 @compute @workgroup_size(8, 8, 1)
 fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
     let item = work[group.z];
@@ -54,7 +66,7 @@ fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
     let anchor_altitude = altitude_m(scene.planet.radius_m, layer.anchor);
     let sphere = shell_roots(scene.planet.radius_m, layer.proxy_altitude_m, layer.anchor, anchor_altitude, from_anchor);
     let on_sphere = layer.anchor + from_anchor * max(sphere.far_m, 1e-3);
-    let direction = normalize(on_sphere - reference.position);
+    let direction = above_horizon(normalize(on_sphere - reference.position), reference.position);
 
     let start = sample_start_fraction(texel, item.sample_index);
     let sample = march_layer(item.layer, reference.position, direction, start);
@@ -62,7 +74,7 @@ fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
     let scratch = vec2u(item.previous % PAGE_TILES, item.previous / PAGE_TILES) * TILE_STRIDE + stored;
     let old_radiance = textureLoad(previous_radiance, scratch, 0);
     let old_distance = textureLoad(previous_distance, scratch, 0).x;
-    let new_radiance = vec4f(sample.single, sample.octaves, sample.ambient, sample.transmittance);
+    let new_radiance = min(vec4f(sample.single, sample.octaves, sample.ambient, sample.transmittance), vec4f(STORED_MAX));
     // The distance is weighted by opacity, else a clear sample would pull it to the ray's origin.
     let old_opacity = (1.0 - old_radiance.w) * (1.0 - item.weight);
     let new_opacity = (1.0 - new_radiance.w) * item.weight;
