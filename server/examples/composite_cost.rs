@@ -6,7 +6,7 @@ use skycell_server::frame_loop::StillRenderer;
 use std::sync::Arc;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut config = RenderConfig::new("/tmp/skycell-noise".into());
+    let mut config = RenderConfig::new(std::env::temp_dir().join("skycell-noise"));
     config.samples = 1;
     if std::env::args().any(|a| a == "bilinear") {
         config.frame_filter = skycell_server::config::FrameFilter::Bilinear;
