@@ -52,7 +52,7 @@ pub struct RenderArguments {
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=16))]
     pub samples: u32,
     /// Steps through a layer's thickness, 1 to 4096.
-    #[arg(long, default_value_t = 96, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    #[arg(long, default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub steps: u32,
     /// Halvings of the cache's resolution below the screen's.
     #[arg(long, default_value_t = 0.0)]
@@ -134,9 +134,9 @@ pub fn run(arguments: &RenderArguments) -> anyhow::Result<()> {
         None => Vec::new(),
     };
     let config = RenderConfig {
-        mip_bias: arguments.mip_bias,
+        mip_bias: Some(arguments.mip_bias),
         samples: arguments.samples,
-        march_steps: arguments.steps,
+        march_steps: Some(arguments.steps),
         cache_memory_mib: 2048,
         ..RenderConfig::new(
             arguments

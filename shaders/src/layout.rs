@@ -243,8 +243,10 @@ gpu_struct! {
         offset: u32,
         /// Tiles along the octahedral square.
         tiles_per_side: u32,
+        /// The level that it resolves.
+        level: u32,
         /// Fills an element of a uniform array to 16 bytes.
-        pad_stride: [u32; 2],
+        pad_level: u32,
     }
 }
 

@@ -1,5 +1,6 @@
 //! What the tests that cross Skycell's crates share: a real server process, viewers, pictures, a browser.
 
+pub mod accuracy;
 pub mod browser;
 pub mod picture;
 pub mod server;

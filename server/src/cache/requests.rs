@@ -4,11 +4,10 @@ use super::address::{LEVELS, TileKey, texel_solid_angle_sr};
 use crate::march::CellFrame;
 use glam::{DVec2, DVec3};
 
-/// A texel may look this much wider than the pixel that shows it before the next level is asked for. At 1.6 a picture of
+/// A texel may look this much wider than the pixel that shows it before the next level is asked for. At 0.8 a picture of
 /// 16:9 at 60° needs one level almost everywhere, so that viewers who look at the same clouds with different parts of
-/// their pictures ask for the same texels; at 1.1 half of a picture's tiles are of the next level and a neighbour's
-/// overlap of 60 % is seen as 28 %, for a FLIP that is .010 instead of .012 (640×360).
-const TEXELS_PER_PIXEL_MAX: f64 = 1.6;
+/// their pictures ask for the same texels, and bilinear reads are as good as sharper ones.
+const TEXELS_PER_PIXEL_MAX: f64 = 0.8;
 
 /// A camera in the frame of a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -60,6 +60,53 @@ pub fn view_uniform(frustum: &ViewFrustum, frame: &CellFrame, size: FrameSize) -
     }
 }
 
+/// The specialisation for the rows in which nothing but ground is seen.
+#[must_use]
+pub fn ground_key(key: PipelineKey) -> PipelineKey {
+    PipelineKey {
+        features: Features {
+            layers: 0,
+            catmull_rom: false,
+            ..key.features
+        },
+        ..key
+    }
+}
+
+/// Pixels along a workgroup's part of a picture.
+const GROUP_WIDTH: u32 = 32;
+/// Rows of a workgroup's part of a picture.
+const GROUP_ROWS: u32 = 16;
+
+/// The first row, a multiple of [`GROUP_ROWS`], from which on every pixel shows the ground: no cloud needs to be looked
+/// up there. A ray meets the ground where it points further down than the horizon's dip.
+fn first_ground_row(view: &layout::View, planet_radius_m: f64) -> u32 {
+    let [forward, right, up] =
+        [view.forward, view.right, view.up].map(|v| glam::Vec3::from_array(v).as_dvec3());
+    let altitude_m = f64::from(view.altitude_m);
+    if altitude_m < 0.0 {
+        return view.height;
+    }
+    let from_centre_m = planet_radius_m + altitude_m;
+    let dip_sin =
+        (altitude_m * (2.0 * planet_radius_m + altitude_m)).sqrt() / from_centre_m;
+    // Directions are in the cell's frame, whose up is the viewer's but for the angle between the two on the planet.
+    let tilt = glam::dvec2(f64::from(view.position[0]), f64::from(view.position[2])).length()
+        / planet_radius_m;
+    let margin = 1e-4 + tilt;
+    let is_ground = |row: u32| {
+        let ndc_y = 1.0 - 2.0 * (f64::from(row) + 0.5) / f64::from(view.height);
+        [-1.0, 1.0].iter().all(|ndc_x| {
+            let direction = forward + right * *ndc_x + up * ndc_y;
+            direction.y < -(dip_sin + margin) * direction.length()
+        })
+    };
+    (0..=view.height / GROUP_ROWS)
+        .map(|group| group * GROUP_ROWS)
+        .find(|row| *row < view.height && is_ground(*row) && is_ground(view.height - 1))
+        .unwrap_or(view.height)
+}
+
 /// What a composite reads.
 #[derive(Clone, Copy, Debug)]
 pub struct CompositeInputs<'a> {
@@ -71,32 +118,34 @@ pub struct CompositeInputs<'a> {
     pub layers: &'a wgpu::BindGroup,
     /// The viewer's camera.
     pub view: &'a layout::View,
+    /// Radius of the planet, m.
+    pub planet_radius_m: f64,
 }
 
 /// Where a viewer's picture is written.
 #[derive(Debug)]
 pub struct Picture {
-    view: wgpu::Buffer,
     pixels: wgpu::Buffer,
-    group: wgpu::BindGroup,
+    /// The whole picture, or the part of it in which there is sky.
+    sky: Part,
+    /// Rows in which there is only ground.
+    ground: Part,
     size: FrameSize,
 }
 
-impl Picture {
-    /// A picture of bytes, or of linear radiance (16 bytes a pixel).
-    #[must_use]
-    pub fn new(gpu: &Gpu, pipelines: &Pipelines, size: FrameSize, linear: bool) -> Self {
+/// Rows of a picture that one dispatch shades.
+#[derive(Debug)]
+struct Part {
+    view: wgpu::Buffer,
+    group: wgpu::BindGroup,
+}
+
+impl Part {
+    fn new(gpu: &Gpu, pipelines: &Pipelines, pixels: &wgpu::Buffer) -> Self {
         let view = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("view"),
             size: size_of::<layout::View>() as u64,
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let bytes = u64::from(size.pixels()) * if linear { 16 } else { 4 };
-        let pixels = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("picture"),
-            size: bytes,
-            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
             mapped_at_creation: false,
         });
         let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -113,10 +162,25 @@ impl Picture {
                 },
             ],
         });
+        Self { view, group }
+    }
+}
+
+impl Picture {
+    /// A picture of bytes, or of linear radiance (16 bytes a pixel).
+    #[must_use]
+    pub fn new(gpu: &Gpu, pipelines: &Pipelines, size: FrameSize, linear: bool) -> Self {
+        let bytes = u64::from(size.pixels()) * if linear { 16 } else { 4 };
+        let pixels = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("picture"),
+            size: bytes,
+            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        });
         Self {
-            view,
+            sky: Part::new(gpu, pipelines, &pixels),
+            ground: Part::new(gpu, pipelines, &pixels),
             pixels,
-            group,
             size,
         }
     }
@@ -142,24 +206,43 @@ impl Picture {
         pipelines: &Pipelines,
         inputs: &CompositeInputs<'_>,
     ) {
-        let Some(pipeline) = pipelines.get(inputs.key) else {
+        let (Some(pipeline), Some(ground_pipeline)) = (
+            pipelines.get(inputs.key),
+            pipelines.get(ground_key(inputs.key)),
+        ) else {
             return;
         };
-        gpu.queue
-            .write_buffer(&self.view, 0, bytemuck::bytes_of(inputs.view));
+        let (height, ground_row) = (
+            self.size.height(),
+            first_ground_row(inputs.view, inputs.planet_radius_m),
+        );
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("composite"),
             timestamp_writes: timing.pass(TimedPass::Composite, 1),
         });
-        pass.set_pipeline(pipeline);
         pass.set_bind_group(0, inputs.scene, &[]);
         pass.set_bind_group(1, &pipelines.empty_group, &[]);
         pass.set_bind_group(2, inputs.layers, &[]);
-        pass.set_bind_group(3, &self.group, &[]);
-        pass.dispatch_workgroups(
-            self.size.width().div_ceil(16),
-            self.size.height().div_ceil(16),
-            1,
-        );
+        for (part, pipeline, rows) in [
+            (&self.sky, pipeline, 0..ground_row),
+            (&self.ground, ground_pipeline, ground_row..height),
+        ] {
+            if rows.is_empty() {
+                continue;
+            }
+            let view = layout::View {
+                first_row: rows.start,
+                ..*inputs.view
+            };
+            gpu.queue
+                .write_buffer(&part.view, 0, bytemuck::bytes_of(&view));
+            pass.set_pipeline(pipeline);
+            pass.set_bind_group(3, &part.group, &[]);
+            pass.dispatch_workgroups(
+                self.size.width().div_ceil(GROUP_WIDTH),
+                (rows.end - rows.start).div_ceil(GROUP_ROWS),
+                1,
+            );
+        }
     }
 }

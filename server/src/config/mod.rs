@@ -65,26 +65,25 @@ pub struct Config {
 /// The renderer's settings: section `[render]`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RenderConfig {
-    /// Halvings of the caches' resolution below that of the screen, 0 to 4.
-    pub mip_bias: f32,
+    /// Halvings of the caches' resolution below that of the screen, 0 to 4. Without: 0 on a GPU, 1 on a software driver.
+    pub mip_bias: Option<f32>,
     /// Jittered samples that a texel averages, 1 to 16.
     pub samples: u32,
     /// GPU memory for caches.
     pub cache_memory_mib: u32,
-    /// Steps of the march through the clouds.
-    pub march_steps: u32,
-    /// How caches are read for a frame.
-    pub frame_filter: FrameFilter,
+    /// Steps of the march through a layer's thickness. Without: 128 on a GPU, 64 on a software driver.
+    pub march_steps: Option<u32>,
+    /// How caches are read for a frame. Without: Catmull-Rom on a GPU, bilinear on a software driver.
+    pub frame_filter: Option<FrameFilter>,
     /// Where noise volumes are kept between runs.
     pub noise_cache_dir: PathBuf,
 }
 
 /// How caches are read for a frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FrameFilter {
     /// Sharp, 16 texels.
-    #[default]
     CatmullRom,
     /// Soft, 4 texels.
     Bilinear,
@@ -105,11 +104,11 @@ impl RenderConfig {
     /// The defaults of a server that keeps its noise in `noise_cache_dir`.
     pub fn new(noise_cache_dir: PathBuf) -> Self {
         Self {
-            mip_bias: 0.0,
+            mip_bias: None,
             samples: 8,
             cache_memory_mib: 256,
-            march_steps: 96,
-            frame_filter: FrameFilter::default(),
+            march_steps: None,
+            frame_filter: None,
             noise_cache_dir,
         }
     }
@@ -125,7 +124,12 @@ impl RenderConfig {
             "noise_cache_dir",
         ])?;
         Ok(Self {
-            mip_bias: number(&members, "mip_bias", MIP_BIAS, f64::from(default.mip_bias))? as f32,
+            mip_bias: match members.optional::<f64>("mip_bias")? {
+                Some(bias) => {
+                    Some(MIP_BIAS.check(&members.pointer_of("mip_bias"), bias)? as f32)
+                }
+                None => default.mip_bias,
+            },
             samples: count(&members, "samples", SAMPLES, default.samples)?,
             cache_memory_mib: count(
                 &members,
@@ -133,8 +137,11 @@ impl RenderConfig {
                 CACHE_MEMORY_MIB,
                 default.cache_memory_mib,
             )?,
-            march_steps: count(&members, "march_steps", MARCH_STEPS, default.march_steps)?,
-            frame_filter: members.member_or("frame_filter", default.frame_filter)?,
+            march_steps: match members.optional::<u32>("march_steps")? {
+                Some(steps) => Some(MARCH_STEPS.check_u32(&members.pointer_of("march_steps"), steps)?),
+                None => default.march_steps,
+            },
+            frame_filter: members.optional("frame_filter")?.or(default.frame_filter),
             noise_cache_dir: members
                 .optional::<String>("noise_cache_dir")?
                 .map_or(default.noise_cache_dir, PathBuf::from),

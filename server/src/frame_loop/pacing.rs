@@ -18,8 +18,11 @@ use std::time::{Duration, Instant};
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
 /// How long the loop sleeps when there is nothing to do; commands wake it.
 const IDLE_INTERVAL: Duration = Duration::from_secs(1);
-/// Share of a frame's interval that is marched while viewers move: the rest is for composites, encoders and sockets.
-const MARCH_SHARE: f64 = 0.3;
+/// Share of the time in which the device marches while viewers move or the wind blows and frames wait for it: the rest
+/// is for composites, encoders and sockets.
+const MARCH_SHARE: f64 = 0.25;
+/// Time for marching that may be saved up, s: a burst no longer than a frame.
+const MARCH_CREDIT_MAX_S: f64 = 0.03;
 /// Device time of one batch while nobody waits for a frame, and the longest that one may delay a frame that becomes due.
 const RESTING_BATCH: Duration = Duration::from_millis(60);
 /// A resting view that only gets sharper is sent this often.
@@ -69,6 +72,19 @@ pub struct FrameLoop {
     ns_per_tile: f64,
     cache_time_seen: (u64, u64),
     was_pending: bool,
+    /// Device time that may be marched before frames come first again, s. Negative after a batch that was longer.
+    march_credit_s: f64,
+}
+
+/// What became of the marching in a turn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Marching {
+    /// All is marched.
+    Done,
+    /// There may be more to do at once.
+    More,
+    /// There is more to do when frames leave time for it.
+    Held,
 }
 
 impl FrameLoop {
@@ -102,6 +118,7 @@ impl FrameLoop {
             ns_per_tile: FIRST_TILE_NS,
             cache_time_seen: (0, 0),
             was_pending: false,
+            march_credit_s: 0.0,
         };
         let ready = frame_loop.stats.ready();
         let thread = std::thread::Builder::new()
@@ -202,6 +219,8 @@ impl FrameLoop {
         self.renderer.counters.ticks += 1;
         let passed = now.duration_since(self.time);
         self.time = now;
+        self.march_credit_s =
+            (self.march_credit_s + MARCH_SHARE * passed.as_secs_f64()).min(MARCH_CREDIT_MAX_S);
         self.renderer.advance_time(passed.as_secs_f64());
         if self.paces.is_empty() {
             self.publish(now, true);
@@ -297,10 +316,10 @@ impl FrameLoop {
         }
     }
 
-    /// Marches a batch when the device has room for one. Returns whether more is to be marched.
-    fn march(&mut self, now: Instant) -> bool {
+    /// Marches a batch when the device has room for one.
+    fn march(&mut self, now: Instant) -> Marching {
         if self.renderer.in_flight() >= SUBMISSIONS_MAX {
-            return true;
+            return Marching::More;
         }
         let (ns, tiles) = self.renderer.gpu_time(TimedPass::Cache);
         let (seen_ns, seen_tiles) = self.cache_time_seen;
@@ -309,10 +328,19 @@ impl FrameLoop {
             self.ns_per_tile += 0.3 * (measured - self.ns_per_tile);
             self.cache_time_seen = (ns, tiles);
         }
-        let budget = self.march_budget(now);
+        let hurried_fps = self.hurried_fps(now);
+        let budget = if hurried_fps > 0.0 {
+            RESTING_BATCH.min(Duration::from_secs_f64(MARCH_SHARE / hurried_fps))
+        } else {
+            RESTING_BATCH
+        };
+        if hurried_fps > 0.0 && self.march_credit_s <= 0.0 && !self.device_rests(now) {
+            return Marching::Held;
+        }
         let screen_space = self.march_screen_space(budget);
         let tiles_max = (budget.as_nanos() as f64 / self.ns_per_tile).max(1.0) as usize;
         let updates = self.renderer.march(tiles_max);
+        self.march_credit_s -= updates.len() as f64 * self.ns_per_tile * 1e-9;
         for update in &updates {
             for (id, pace) in &mut self.paces {
                 let here = self
@@ -337,23 +365,29 @@ impl FrameLoop {
             }
         }
         self.was_pending = pending;
-        pending || screen_space
+        if pending || screen_space {
+            Marching::More
+        } else {
+            Marching::Done
+        }
     }
 
-    fn march_budget(&self, now: Instant) -> Duration {
+    /// Whether the device has nothing to do for longer than a tile takes.
+    fn device_rests(&self, now: Instant) -> bool {
+        let tile = Duration::from_nanos(self.ns_per_tile as u64);
+        self.renderer.in_flight() == 0
+            && self.next_due().is_none_or(|due| due > now + tile)
+    }
+
+    /// The most frames a second that a viewer wants who moves or sees the wind blow; 0 when all rests.
+    fn hurried_fps(&self, now: Instant) -> f64 {
         let windy = self.renderer.wind_speed_max_m_per_s() > 0.0;
-        let fps = self
-            .paces
+        self.paces
             .iter()
             .filter(|(_, pace)| windy || now.duration_since(pace.moved) < MOVING_FOR)
             .filter_map(|(id, _)| self.renderer.viewers.get(id))
             .map(|viewer| viewer.view.fps)
-            .fold(0.0, f64::max);
-        if fps > 0.0 {
-            RESTING_BATCH.min(Duration::from_secs_f64(MARCH_SHARE / fps))
-        } else {
-            RESTING_BATCH
-        }
+            .fold(0.0, f64::max)
     }
 
     /// One strip for the first screen-space viewer that lacks samples; a complete sample becomes a frame.
@@ -408,15 +442,9 @@ impl FrameLoop {
         }
     }
 
-    fn next_wait(&self, now: Instant, marching: bool) -> Duration {
-        if self.renderer.in_flight() > 0 {
-            return POLL_INTERVAL;
-        }
-        if marching {
-            return Duration::ZERO;
-        }
-        let next = self
-            .paces
+    /// When the next frame is due of those whose viewers have room for one.
+    fn next_due(&self) -> Option<Instant> {
+        self.paces
             .iter()
             .filter(|(id, _)| {
                 self.renderer
@@ -425,7 +453,17 @@ impl FrameLoop {
                     .is_some_and(|viewer| viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX)
             })
             .filter_map(|(_, pace)| self.due_at(pace))
-            .min();
+            .min()
+    }
+
+    fn next_wait(&self, now: Instant, marching: Marching) -> Duration {
+        if self.renderer.in_flight() > 0 || marching == Marching::Held {
+            return POLL_INTERVAL;
+        }
+        if marching == Marching::More {
+            return Duration::ZERO;
+        }
+        let next = self.next_due();
         let windy = self.renderer.wind_speed_max_m_per_s() > 0.0;
         let rest = if windy {
             Duration::from_millis(20)

@@ -9,8 +9,10 @@ use crate::cache::{
 };
 use crate::cells::Cells;
 use crate::clock::unix_now_us;
-use crate::composite::{CompositeInputs, Picture, composite_key, view_frustum, view_uniform};
-use crate::config::{PlacedCell, RenderConfig};
+use crate::composite::{
+    CompositeInputs, Picture, composite_key, ground_key, view_frustum, view_uniform,
+};
+use crate::config::{FrameFilter, PlacedCell, RenderConfig};
 use crate::field::FieldStore;
 use crate::gpu::{
     FieldTextures, Gpu, GpuError, PipelineKey, Pipelines, ReadbackRing, TimedPass, TimingRing,
@@ -36,6 +38,9 @@ const READBACKS_PER_VIEWER: usize = 3;
 /// Beyond this distance between anchor and reference the cache's texels no longer have even sizes for the viewers.
 const ANCHOR_DRIFT_MAX_M: f64 = 4_000.0;
 
+/// Under wind tiles move past the viewers; what they need is looked up this often. At 50 m/s that is 2.5 m.
+const REQUESTS_INTERVAL: Duration = Duration::from_millis(50);
+
 /// Where a layer's addresses are centred: follows the layer's wind.
 #[derive(Clone, Copy, Debug)]
 struct Anchor {
@@ -54,6 +59,8 @@ struct ActiveCell {
     begun: Instant,
     /// Requests or reference have changed since the caches were told.
     requests_changed: bool,
+    /// When the tiles were last looked up for where the wind has carried them.
+    looked_up: Instant,
 }
 
 /// A viewer on the device.
@@ -95,6 +102,10 @@ pub(super) struct SkyRenderer {
     pub(super) caches: Caches,
     pub(super) cells: Cells,
     pub(super) config: RenderConfig,
+    /// As configured, or as suits the adapter.
+    pub(super) frame_filter: FrameFilter,
+    mip_bias: f64,
+    march_steps: u32,
     pub(super) scene: Arc<Scene>,
     pub(super) scene_revision: u64,
     pub(super) active: Vec<ActiveLayer>,
@@ -136,6 +147,17 @@ impl SkyRenderer {
             viewers: BTreeMap::new(),
             counters: Counters::default(),
             in_flight: Arc::default(),
+            frame_filter: config.frame_filter.unwrap_or(if gpu.is_software() {
+                FrameFilter::Bilinear
+            } else {
+                FrameFilter::CatmullRom
+            }),
+            mip_bias: config
+                .mip_bias
+                .map_or(if gpu.is_software() { 1.0 } else { 0.0 }, f64::from),
+            march_steps: config
+                .march_steps
+                .unwrap_or(if gpu.is_software() { 64 } else { 128 }),
             gpu,
             pipelines,
             field,
@@ -149,10 +171,11 @@ impl SkyRenderer {
     /// ages every texel; what changes where layers are starts their caches anew.
     pub(super) fn set_scene(&mut self, scene: Arc<Scene>, revision: u64) -> Result<(), GpuError> {
         let active = active_layers(&scene);
-        let mut keys = vec![
-            composite_key(self.config.frame_filter, active.len(), false, false),
-            composite_key(self.config.frame_filter, active.len(), true, false),
-        ];
+        let mut keys = Vec::new();
+        for screen_space in [false, true] {
+            let key = composite_key(self.frame_filter, active.len(), screen_space, false);
+            keys.extend([key, ground_key(key)]);
+        }
         for layer in &active {
             let features = layer_features(&scene, layer.scene_index);
             keys.extend([texels_key(features), pixels_key(features)]);
@@ -219,7 +242,7 @@ impl SkyRenderer {
             }
             self.refresh_cells();
             let key = composite_key(
-                self.config.frame_filter,
+                self.frame_filter,
                 self.active.len(),
                 renderer == RendererKind::ScreenSpace,
                 false,
@@ -266,6 +289,7 @@ impl SkyRenderer {
             buffers: CellBuffers::new(&self.gpu, &self.pipelines, &self.field.bind_group),
             begun: Instant::now(),
             requests_changed: true,
+            looked_up: Instant::now(),
         }
     }
 
@@ -471,14 +495,16 @@ impl SkyRenderer {
             &self.active,
             &self.light,
             MarchSettings {
-                steps: self.config.march_steps,
+                steps: self.march_steps,
             },
             &cell.frame,
             &self.drifts,
             &anchors,
         );
         cell.buffers.set_scene(&self.gpu, &uniform);
-        if cell.requests_changed || windy {
+        let drifted = windy && cell.looked_up.elapsed() >= REQUESTS_INTERVAL;
+        if cell.requests_changed || drifted {
+            cell.looked_up = Instant::now();
             let eye = cell.frame.from_world(cell.reference_m);
             cell.buffers.set_reference(&self.gpu, eye);
             let spheres: Vec<ProxySphere> = self
@@ -491,18 +517,18 @@ impl SkyRenderer {
                     altitude_m: layer.proxy_altitude_m,
                 })
                 .collect();
-            if cell.coarse.len() != spheres.len() {
+            if drifted || cell.coarse.len() != spheres.len() {
                 cell.coarse = spheres.iter().map(|s| coarse_tiles(s, eye)).collect();
             }
             for viewer in self.viewers.values_mut().filter(|v| v.cell == id) {
                 if viewer.kind == RendererKind::ScreenSpace {
                     continue;
                 }
-                if windy || viewer.requests.len() != spheres.len() {
+                if drifted || viewer.requests.len() != spheres.len() {
                     let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
                     viewer.requests = spheres
                         .iter()
-                        .map(|s| requested_tiles(&frustum, s, f64::from(self.config.mip_bias)))
+                        .map(|s| requested_tiles(&frustum, s, self.mip_bias))
                         .collect();
                 }
             }
@@ -793,7 +819,7 @@ impl SkyRenderer {
             &self.pipelines,
             &CompositeInputs {
                 key: composite_key(
-                    self.config.frame_filter,
+                    self.frame_filter,
                     self.active.len(),
                     screen_space,
                     false,
@@ -801,6 +827,7 @@ impl SkyRenderer {
                 scene: &cell.buffers.scene_group,
                 layers: &layers,
                 view: &view,
+                planet_radius_m: self.scene.planet().radius_m(),
             },
         );
         self.counters.dispatches += 1;
@@ -845,6 +872,7 @@ impl SkyRenderer {
                 scene: &cell.buffers.scene_group,
                 layers: &layers,
                 view: &view,
+                planet_radius_m: self.scene.planet().radius_m(),
             },
         );
         self.timing.resolve(&mut encoder);

@@ -2,7 +2,7 @@
 
 use super::interface::{RenderTotals, ViewRequest};
 use super::renderer::SkyRenderer;
-use crate::composite::{Picture, composite_key};
+use crate::composite::{Picture, composite_key, ground_key};
 use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{Gpu, GpuError, TimedPass, read_buffer_blocking};
 use skycell_protocol::{Camera, Codec, FrameSize, RendererKind, Scene, ViewerId};
@@ -97,7 +97,7 @@ impl StillRenderer {
                 renderer: kind,
             },
         );
-        let filter = renderer.config.frame_filter;
+        let filter = renderer.frame_filter;
         // A camera in or above the clouds is rendered with rays of its own, whatever was asked for.
         let screen_space = renderer
             .viewers
@@ -105,6 +105,9 @@ impl StillRenderer {
             .is_some_and(|viewer| viewer.kind == RendererKind::ScreenSpace);
         let key = composite_key(filter, renderer.active.len(), screen_space, linear);
         renderer.pipelines.prepare(&renderer.gpu, key)?;
+        renderer
+            .pipelines
+            .prepare(&renderer.gpu, ground_key(key))?;
         renderer.refresh_cells();
         if screen_space {
             let samples = f64::from(renderer.config.samples);

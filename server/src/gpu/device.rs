@@ -83,10 +83,14 @@ fn instance() -> wgpu::Instance {
     wgpu::Instance::new(descriptor)
 }
 
-/// What rendering needs beyond wgpu's default limits: nothing but six storage bindings and array textures.
-fn missing(limits: &wgpu::Limits) -> Vec<String> {
+/// Distances are interpolated in full floats.
+const REQUIRED_FEATURES: wgpu::Features = wgpu::Features::FLOAT32_FILTERABLE;
+
+/// What rendering needs and an adapter lacks.
+fn missing(adapter: &wgpu::Adapter) -> Vec<String> {
+    let limits = adapter.limits();
     let needed = [
-        ("texture edge", limits.max_texture_dimension_2d, 1024),
+        ("texture edge", limits.max_texture_dimension_2d, 8192),
         ("volume edge", limits.max_texture_dimension_3d, 128),
         ("texture layers", limits.max_texture_array_layers, 16),
         ("bind groups", limits.max_bind_groups, 4),
@@ -106,10 +110,13 @@ fn missing(limits: &wgpu::Limits) -> Vec<String> {
             64,
         ),
     ];
-    needed
+    let lacks = needed
         .iter()
         .filter(|(_, has, needs)| has < needs)
-        .map(|(what, has, needs)| format!("{what}: {has}, needed {needs}"))
+        .map(|(what, has, needs)| format!("{what}: {has}, needed {needs}"));
+    let features = REQUIRED_FEATURES - adapter.features();
+    lacks
+        .chain(features.iter_names().map(|(name, _)| format!("feature {name}")))
         .collect()
 }
 
@@ -126,7 +133,7 @@ impl AdapterReport {
             texture_edge_max: limits.max_texture_dimension_2d,
             texture_layers_max: limits.max_texture_array_layers,
             storage_buffer_max_bytes: limits.max_storage_buffer_binding_size,
-            missing: missing(&limits),
+            missing: missing(adapter),
         }
     }
 
@@ -151,7 +158,7 @@ impl Gpu {
             .await
             .map_err(|error| GpuError::NoAdapter(error.to_string()))?;
         let info = adapter.get_info();
-        let missing = missing(&adapter.limits());
+        let missing = missing(&adapter);
         if !missing.is_empty() {
             return Err(GpuError::Missing {
                 adapter: info.name,
@@ -159,7 +166,7 @@ impl Gpu {
             });
         }
         let timestamps = adapter.features().contains(wgpu::Features::TIMESTAMP_QUERY);
-        let mut required_features = wgpu::Features::empty();
+        let mut required_features = REQUIRED_FEATURES;
         required_features.set(wgpu::Features::TIMESTAMP_QUERY, timestamps);
         let (device, queue) = adapter
             .request_device(&wgpu::DeviceDescriptor {

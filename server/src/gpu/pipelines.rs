@@ -155,7 +155,7 @@ impl Pipelines {
                         multisampled: false,
                     },
                     sampled(D2Array, true),
-                    sampled(D2Array, false),
+                    sampled(D2Array, true),
                     SAMPLER,
                 ],
             ),

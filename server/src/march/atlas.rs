@@ -3,12 +3,13 @@
 use crate::cache::{BYTES_PER_TEXEL, Slot, TEXELS_PER_TILE, TILE_STRIDE};
 use crate::gpu::Gpu;
 
-/// Tiles along a page.
-const PAGE_TILES: u32 = 16;
-/// Tiles of a page, one layer of the texture array: 12 MiB.
-pub const TILES_PER_PAGE: u32 = PAGE_TILES * PAGE_TILES;
-/// Texels along a page.
-const PAGE_TEXELS: u32 = PAGE_TILES * TILE_STRIDE;
+/// Tiles of a page, one layer of the texture array: 6 MiB. They stand in one column, so that a tile's rows follow each
+/// other in memory where textures are stored row by row: with tiles side by side, rows would be apart by powers of two
+/// and evict each other from a CPU's caches.
+pub const TILES_PER_PAGE: u32 = 128;
+/// Width and height of a page; no more than what every device takes.
+const PAGE_WIDTH: u32 = TILE_STRIDE;
+const PAGE_HEIGHT: u32 = TILES_PER_PAGE * TILE_STRIDE;
 
 /// Radiance and transmittance in half floats, which bilinear hardware reads, and distance in a float beside it.
 ///
@@ -29,8 +30,8 @@ fn texture(gpu: &Gpu, label: &str, pages: u32, format: wgpu::TextureFormat) -> w
     gpu.device.create_texture(&wgpu::TextureDescriptor {
         label: Some(label),
         size: wgpu::Extent3d {
-            width: PAGE_TEXELS,
-            height: PAGE_TEXELS,
+            width: PAGE_WIDTH,
+            height: PAGE_HEIGHT,
             depth_or_array_layers: pages,
         },
         mip_level_count: 1,
@@ -83,8 +84,8 @@ impl Atlas {
                 label: Some("grow atlas"),
             });
         let extent = wgpu::Extent3d {
-            width: PAGE_TEXELS,
-            height: PAGE_TEXELS,
+            width: PAGE_WIDTH,
+            height: PAGE_HEIGHT,
             depth_or_array_layers: self.pages.min(wanted),
         };
         for (old, new) in [(&self.radiance, &radiance), (&self.distance, &distance)] {
@@ -130,8 +131,8 @@ impl Atlas {
     /// Copies a tile to where the update with this place in its batch reads what was there before.
     pub fn keep_previous(&self, encoder: &mut wgpu::CommandEncoder, slot: Slot, place: u32) {
         let origin = |index: u32, page: u32| wgpu::Origin3d {
-            x: index % PAGE_TILES * TILE_STRIDE,
-            y: index / PAGE_TILES * TILE_STRIDE,
+            x: 0,
+            y: index * TILE_STRIDE,
             z: page,
         };
         let extent = wgpu::Extent3d {

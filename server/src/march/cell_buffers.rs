@@ -167,7 +167,8 @@ impl CellBuffers {
             Some(offset) => layout::PageTable {
                 offset: *offset,
                 tiles_per_side: TileKey::tiles_per_side(level),
-                ..Default::default()
+                level: u32::from(level),
+                pad_level: 0,
             },
             // A table of no tiles: clear sky.
             None => layout::PageTable::default(),

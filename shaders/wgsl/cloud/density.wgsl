@@ -19,6 +19,8 @@ const SHAPE_FLOOR: f32 = 0.34;
 const SHAPE_RANGE: f32 = 0.6;
 /// Mean of both detail channels: what stands for detail that is too fine to be seen.
 const DETAIL_MEAN: f32 = 0.5;
+/// Half the width of what most of the detail's values lie in.
+const DETAIL_SPREAD: f32 = 0.3;
 /// Share of the type map in the local type.
 const TYPE_SPREAD: f32 = 0.45;
 
@@ -66,7 +68,10 @@ fn carved_density(layer: Layer, position: vec3f, altitude_m: f32, height_fractio
     let fine = textureSampleLevel(field_detail, field_repeat, field_position * layer.detail_per_m + layer.detail_offset, 0.0).xy;
     let detail = mix(DETAIL_MEAN, mix(fine.y, fine.x, billowy), detail_weight);
 #endif
-    return saturate((carved - layer.detail_strength * (1.0 - detail)) * SURFACE_STEEPNESS);
+    // Detail that is too fine to be seen blurs the surface by as much as it would move it.
+    let blur = (1.0 - detail_weight) * layer.detail_strength * DETAIL_SPREAD;
+    let surface = carved - layer.detail_strength * (1.0 - detail);
+    return saturate((surface + blur) / (1.0 / SURFACE_STEEPNESS + 2.0 * blur));
 }
 
 /// As carved_density with the detail's mean: what the sun march reads.

@@ -1,6 +1,7 @@
 #define_import_path skycell::cached
 #import skycell::octahedral::octahedral_from_direction
-#import skycell::march::LayerRadiance
+#import skycell::march::{LayerRadiance, CLEAR_OPACITY}
+#import skycell::view::PageTable
 
 /// Page tables as rows of TABLE_WIDTH entries. A texture and no buffer: software drivers read buffers lane by lane.
 @group(2) @binding(0) var page_table: texture_2d<u32>;
@@ -13,8 +14,9 @@ const NO_TILE: u32 = 0xffffffffu;
 const TILE_STRIDE: u32 = 64u;
 const TILE_INTERIOR: f32 = 60.0;
 const GUTTER: f32 = 2.0;
-const PAGE_TILES: u32 = 16u;
-const PAGE_TEXELS: f32 = 1024.0;
+/// Tiles of a page, one below the other, and its texels.
+const PAGE_TILES: u32 = 128u;
+const PAGE_TEXELS: vec2f = vec2f(64.0, 8192.0);
 /// Tiles along the octahedral square at level 0.
 const BASE_TILES: u32 = 5u;
 
@@ -49,27 +51,28 @@ fn read_radiance(texel: vec2f, page: u32) -> vec4f {
 }
 #endif
 
-/// What the cache holds of a layer in a direction from its anchor. Without any tile: clear sky.
-fn cached_radiance(offset: u32, tiles_per_side: u32, from_anchor: vec3f) -> LayerRadiance {
-    if tiles_per_side == 0u { return LayerRadiance(0.0, 0.0, 0.0, 1.0, 0.0); }
+/// What the cache holds of a layer in a direction from its anchor. Without any tile, and where something hides the layer:
+/// clear sky.
+fn cached_radiance(table: PageTable, from_anchor: vec3f, hidden: bool) -> LayerRadiance {
     let square = octahedral_from_direction(from_anchor);
-    let tiles = f32(tiles_per_side);
-    let tile = min(vec2u(square * tiles), vec2u(tiles_per_side - 1u));
-    let index = offset + tile.y * tiles_per_side + tile.x;
+    let tile = min(vec2u(square * f32(table.tiles_per_side)), vec2u(max(table.tiles_per_side, 1u) - 1u));
+    let index = table.offset + tile.y * table.tiles_per_side + tile.x;
     let entry = textureLoad(page_table, vec2u(index % TABLE_WIDTH, index / TABLE_WIDTH), 0).x;
-    let level = (entry >> 16u) & 0xffu;
-    let slot = entry & 0xffffu;
-    let level_tiles = BASE_TILES << min(level, 16u);
-    let level_tile = vec2f(tile * level_tiles / tiles_per_side);
-    let within = (square * f32(level_tiles) - level_tile) * TILE_INTERIOR;
-    let in_page = slot % (PAGE_TILES * PAGE_TILES);
-    let origin = vec2f(f32((in_page % PAGE_TILES) * TILE_STRIDE), f32((in_page / PAGE_TILES) * TILE_STRIDE));
+    let held = entry != NO_TILE && table.tiles_per_side != 0u && !hidden;
+    let level = min((entry >> 16u) & 0xffu, table.level);
+    let slot = select(0u, entry & 0xffffu, held);
+    // Tiles double with each level, so a tile of a coarser level is found by a shift.
+    let level_tile = vec2f(tile >> vec2u(table.level - level));
+    let within = (square * f32(BASE_TILES << level) - level_tile) * TILE_INTERIOR;
+    let origin = vec2f(0.0, f32(slot % PAGE_TILES * TILE_STRIDE));
     let texel = origin + GUTTER + clamp(within, vec2f(0.0), vec2f(TILE_INTERIOR));
-    let page = slot / (PAGE_TILES * PAGE_TILES);
-    let held = entry != NO_TILE;
-    let safe_page = select(0u, page, held);
-    let safe_texel = select(vec2f(0.5), texel, held);
-    let radiance = select(vec4f(0.0, 0.0, 0.0, 1.0), read_radiance(safe_texel, safe_page), held);
-    let distance_m = select(0.0, textureLoad(atlas_distance, vec2u(safe_texel), safe_page, 0).x, held);
-    return LayerRadiance(radiance.x, radiance.y, radiance.z, radiance.w, distance_m);
+    let page = slot / PAGE_TILES;
+    let radiance = select(vec4f(0.0, 0.0, 0.0, 1.0), read_radiance(texel, page), held);
+    var opacity_distance_m = textureSampleLevel(atlas_distance, atlas_sampler, texel / PAGE_TEXELS, page, 0.0).x;
+#ifdef CATMULL_ROM
+    // Its opacity must come from the same filter, or the distance jumps at edges.
+    let transmittance = textureSampleLevel(atlas_radiance, atlas_sampler, texel / PAGE_TEXELS, page, 0.0).w;
+    opacity_distance_m *= (1.0 - radiance.w + CLEAR_OPACITY) / (1.0 - transmittance + CLEAR_OPACITY);
+#endif
+    return LayerRadiance(radiance.x, radiance.y, radiance.z, radiance.w, select(0.0, opacity_distance_m, held));
 }

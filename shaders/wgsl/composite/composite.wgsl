@@ -1,9 +1,10 @@
 // One picture for one viewer: the layers of its cell, back to front, over sky and ground.
 #import skycell::march::{scene, LayerRadiance}
+#import skycell::scene::{Scene, Layer}
 #import skycell::shell::shell_roots
-#import skycell::shade::{Background, background, layer_over}
+#import skycell::shade::{Background, Ray, background, pixel_ray, background_radiance, sun_phase_per_sr, layer_over}
 #import skycell::tone::{balanced, filmic, srgb_from_linear, dithered_bytes}
-#import skycell::view::{View, pixel_direction}
+#import skycell::view::{View, PageTable, pixel_direction}
 #ifndef SCREEN_SPACE
 #import skycell::cached::cached_radiance
 #endif
@@ -19,52 +20,66 @@
 @group(2) @binding(0) var<storage, read> marched: array<f32>;
 #endif
 
-/// What the viewer sees of one layer along a direction.
-fn layer_radiance(layer_index: u32, pixel: vec2u, direction: vec3f, on_ground: bool) -> LayerRadiance {
+/// What the viewer sees of one layer along a ray.
+fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> LayerRadiance {
 #ifdef SCREEN_SPACE
-    let at = ((layer_index * view.height + pixel.y) * view.width + pixel.x) * 5u;
+    let at = ((layer_index * eye.height + pixel.y) * eye.width + pixel.x) * 5u;
     return LayerRadiance(marched[at], marched[at + 1u], marched[at + 2u], marched[at + 3u], marched[at + 4u]);
 #else
-    let layer = scene.layers[layer_index];
-    let sphere = shell_roots(scene.planet.radius_m, layer.proxy_altitude_m, view.position, view.altitude_m, direction);
-    let on_sphere = view.position + direction * max(sphere.far_m, 1e-3);
-    let table = view.tables[layer_index];
-    var cloud = cached_radiance(table.offset, table.tiles_per_side, on_sphere - layer.anchor);
+    let sphere = shell_roots(world.planet.radius_m, layer.proxy_altitude_m, eye.position, eye.altitude_m, ray.direction);
+    let on_sphere = eye.position + ray.direction * max(sphere.far_m, 1e-3);
     // Texels straddle the horizon; the viewer's own ray decides whether the ground hides the layer.
-    if on_ground { cloud = LayerRadiance(0.0, 0.0, 0.0, 1.0, 0.0); }
-    return cloud;
+    return cached_radiance(table, on_sphere - layer.anchor, ray.on_ground);
 #endif
 }
 
 /// Radiance that reaches the viewer through the middle of a pixel.
-fn pixel_radiance(pixel: vec2u) -> vec3f {
-    let direction = pixel_direction(view, vec2f(pixel) + 0.5);
-    let back = background(view.position, view.altitude_m, direction);
-    var radiance = back.radiance;
-    // Layers are sorted by altitude; from below the highest lies farthest back. Written out with constant indices: a
-    // software driver reads uniforms at a computed index lane by lane, which costs more than all else here.
+fn pixel_radiance(world: Scene, eye: View, back: Background, pixel: vec2u) -> vec3f {
+    let direction = pixel_direction(eye, vec2f(pixel) + 0.5);
+    let ray = pixel_ray(world, eye.position, eye.altitude_m, direction);
+    var radiance = background_radiance(world, back, ray);
+#if LAYERS >= 1
+    let phase = sun_phase_per_sr(world, ray);
+#endif
+    // Layers are sorted by altitude; from below the highest lies farthest back. Written out with constant indices, so
+    // that all of them are read before the first pixel.
 #if LAYERS >= 4
-    radiance = layer_over(back, radiance, layer_radiance(3u, pixel, direction, back.on_ground), scene.layers[3].air_extinction_per_m);
+    let fourth = layer_radiance(world, eye, world.layers[3], eye.tables[3], 3u, pixel, ray);
+    radiance = layer_over(world, back, phase, radiance, fourth, world.layers[3].air_extinction_per_m);
 #endif
 #if LAYERS >= 3
-    radiance = layer_over(back, radiance, layer_radiance(2u, pixel, direction, back.on_ground), scene.layers[2].air_extinction_per_m);
+    let third = layer_radiance(world, eye, world.layers[2], eye.tables[2], 2u, pixel, ray);
+    radiance = layer_over(world, back, phase, radiance, third, world.layers[2].air_extinction_per_m);
 #endif
 #if LAYERS >= 2
-    radiance = layer_over(back, radiance, layer_radiance(1u, pixel, direction, back.on_ground), scene.layers[1].air_extinction_per_m);
+    let second = layer_radiance(world, eye, world.layers[1], eye.tables[1], 1u, pixel, ray);
+    radiance = layer_over(world, back, phase, radiance, second, world.layers[1].air_extinction_per_m);
 #endif
 #if LAYERS >= 1
-    radiance = layer_over(back, radiance, layer_radiance(0u, pixel, direction, back.on_ground), scene.layers[0].air_extinction_per_m);
+    let first = layer_radiance(world, eye, world.layers[0], eye.tables[0], 0u, pixel, ray);
+    radiance = layer_over(world, back, phase, radiance, first, world.layers[0].air_extinction_per_m);
 #endif
     return radiance;
 }
 
-@compute @workgroup_size(16, 16, 1)
+/// Each invocation shades two by two pixels. They share what is behind the clouds, and the reads of the uniforms: a
+/// software driver reads those lane by lane behind any branch, which costs as much as shading a pixel.
+@compute @workgroup_size(16, 8, 1)
 fn composite(@builtin(global_invocation_id) id: vec3u) {
-    if id.x >= view.width || id.y >= view.height { return; }
-    let radiance = pixel_radiance(id.xy);
+    let world = scene;
+    let eye = view;
+    let first = id.xy * 2u + vec2u(0u, eye.first_row);
+    let back = background(world, eye.position, eye.altitude_m, pixel_direction(eye, vec2f(first) + 1.0));
+    for (var i = 0u; i < 4u; i += 1u) {
+        let pixel = first + vec2u(i & 1u, i >> 1u);
+        let radiance = pixel_radiance(world, eye, back, min(pixel, vec2u(eye.width, eye.height) - 1u));
+        let inside = pixel.x < eye.width && pixel.y < eye.height;
+        let at = pixel.y * eye.width + pixel.x;
 #ifdef LINEAR_OUTPUT
-    picture[id.y * view.width + id.x] = vec4f(radiance, 1.0);
+        if inside { picture[at] = vec4f(radiance, 1.0); }
 #else
-    picture[id.y * view.width + id.x] = dithered_bytes(srgb_from_linear(filmic(balanced(radiance) * scene.exposure)), id.xy);
+        let bytes = dithered_bytes(srgb_from_linear(filmic(balanced(radiance) * world.exposure)), pixel);
+        if inside { picture[at] = bytes; }
 #endif
+    }
 }

@@ -3,9 +3,11 @@
 /// Where a layer's tiles are found: entry of tile (x, y) at offset + y * tiles_per_side + x.
 struct PageTable {
     offset: u32,
-    /// Tiles along the octahedral square at the finest level that the table resolves.
+    /// Tiles along the octahedral square at the finest level that the table resolves; 0: no tile at all.
     tiles_per_side: u32,
-    pad_stride: vec2u,
+    /// That level.
+    level: u32,
+    pad_level: u32,
 }
 
 /// One viewer's camera in the frame of its cell.

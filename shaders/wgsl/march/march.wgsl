@@ -19,37 +19,74 @@ struct LayerRadiance {
     /// Ambient light that is scattered in, as a share of the sky's mean radiance.
     ambient: f32,
     transmittance: f32,
-    /// Distance of what is seen, weighted by its opacity, m from the ray's origin; 0 where nothing is.
-    distance_m: f32,
+    /// Distance of what is seen from the ray's origin, m, times its opacity. With what is behind weighed by
+    /// CLEAR_OPACITY: see distance_seen_m. Like the other members, this can be averaged and interpolated.
+    opacity_distance_m: f32,
+}
+
+/// What the layer itself counts for in the mean distance, so that it is known where nothing is seen.
+const CLEAR_OPACITY: f32 = 1e-3;
+
+/// Mean distance of what is seen, m.
+fn distance_seen_m(opacity_distance_m: f32, transmittance: f32) -> f32 {
+    return opacity_distance_m / (1.0 - transmittance + CLEAR_OPACITY);
 }
 
 /// A ray stops where less than this share of the light behind could still come through.
 const TRANSMITTANCE_MIN: f32 = 0.004;
-/// Steps outside cloud are longer by this factor.
-const EMPTY_STEP_FACTOR: f32 = 1.5;
-/// Detail fades out where its voxels are seen under this angle or less, half a pixel of a 720-line picture. The same for
-/// every renderer and resolution: a cloud's shape must not depend on who looks.
-const DETAIL_ANGLE_RAD: f32 = 8e-4;
-/// A limit that no sensible ray reaches (empty steps are at least step_min_m long).
+/// Detail begins to fade where its voxels are seen under this angle, a pixel and a half of a 720-line picture, and is gone
+/// at half of it. The same for every renderer and resolution: a cloud's shape must not depend on who looks.
+const DETAIL_ANGLE_RAD: f32 = 2.2e-3;
+/// A limit that no sensible ray reaches (steps are at least step_min_m long).
 const PROBES_MAX: u32 = 4096u;
 
-/// Length of a step inside cloud at a distance from the ray's origin, m.
+/// What a ray needs of the scene. Read once before the first branch: software drivers read uniforms lane by lane behind
+/// one, which costs more than the arithmetic.
+struct RayScene {
+    planet_radius_m: f32,
+    sun_direction: vec3f,
+    sun_steps: u32,
+    sun_march_distance_m: f32,
+}
+
+/// Length of a step at a distance from the ray's origin, m: step_min_m, and in proportion to the distance beyond.
 fn step_length_m(layer: Layer, distance_m: f32) -> f32 {
     return max(layer.step_min_m, distance_m * layer.step_per_distance);
 }
 
+// Every ray samples at steps whose count from its origin has the same fraction, wherever cloud begins and however far
+// empty space was skipped. Samples of one texel with other fractions then interleave to one march with as many times
+// finer steps, and their mean hardly differs from texel to texel; free-running samples are noise.
+
+/// Steps from the ray's origin to a distance.
+fn steps_at(layer: Layer, distance_m: f32) -> f32 {
+    let relative = distance_m * layer.step_per_distance / layer.step_min_m;
+    return select(relative, 1.0 + log(max(relative, 1.0)), relative > 1.0) / layer.step_per_distance;
+}
+
+/// Distance of a number of steps from the ray's origin, m: the inverse.
+fn distance_at_m(layer: Layer, steps: f32) -> f32 {
+    let relative = steps * layer.step_per_distance;
+    return select(relative, exp(max(relative, 1.0) - 1.0), relative > 1.0) * layer.step_min_m / layer.step_per_distance;
+}
+
+/// The first sample at or beyond a distance, in steps.
+fn first_sample_at(layer: Layer, distance_m: f32, start_fraction: f32) -> f32 {
+    return ceil(steps_at(layer, distance_m) - start_fraction) + start_fraction;
+}
+
 /// Optical depth from a point towards the sun within its layer, by sun_steps samples at quadratically growing distances.
-fn sun_optical_depth(layer: Layer, position: vec3f) -> f32 {
-    let count = f32(scene.light.sun_steps);
+fn sun_optical_depth(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
+    let count = f32(ray.sun_steps);
     let thickness_m = max(layer.top_altitude_m - layer.base_altitude_m, 1e-3);
     var sum_m = 0.0;
-    for (var i = 0u; i < scene.light.sun_steps; i += 1u) {
+    for (var i = 0u; i < ray.sun_steps; i += 1u) {
         let near = f32(i) / count;
         let far = f32(i + 1u) / count;
-        let start_m = near * near * scene.light.sun_march_distance_m;
-        let end_m = far * far * scene.light.sun_march_distance_m;
-        let sample = position + scene.sun.direction * (0.5 * (start_m + end_m));
-        let altitude = altitude_m(scene.planet.radius_m, sample);
+        let start_m = near * near * ray.sun_march_distance_m;
+        let end_m = far * far * ray.sun_march_distance_m;
+        let sample = position + ray.sun_direction * (0.5 * (start_m + end_m));
+        let altitude = altitude_m(ray.planet_radius_m, sample);
         let height_fraction = (altitude - layer.base_altitude_m) / thickness_m;
         let inside = height_fraction >= 0.0 && height_fraction <= 1.0;
 #ifdef DENSITY_WEATHER
@@ -65,9 +102,17 @@ fn sun_optical_depth(layer: Layer, position: vec3f) -> f32 {
 
 /// Marches one ray through one layer. start_fraction in 0...1 shifts the samples by that share of a step.
 fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction: f32) -> LayerRadiance {
+    let ray = RayScene(
+        scene.planet.radius_m,
+        scene.sun.direction,
+        scene.light.sun_steps,
+        scene.light.sun_march_distance_m,
+    );
+    var octave_attenuation: array<vec4f, #{OCTAVE_VECTORS}>;
+    for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_attenuation[k] = scene.light.octave_attenuation[k]; }
     let layer = scene.layers[layer_index];
     let thickness_m = max(layer.top_altitude_m - layer.base_altitude_m, 1e-3);
-    let intervals = layer_intervals(scene.planet.radius_m, layer.base_altitude_m, layer.top_altitude_m, origin, direction);
+    let intervals = layer_intervals(ray.planet_radius_m, layer.base_altitude_m, layer.top_altitude_m, origin, direction);
     // Horizontal metres per metre of ray; the floor keeps the quotient finite for vertical rays.
     let across = max(length(direction.xz), 1e-3);
     let detail_voxel_m = 1.0 / max(layer.detail_per_m * 32.0, 1e-9);
@@ -80,7 +125,9 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         end_m = select(start_m, intervals.second_end_m, second);
         second = false;
     }
-    var distance_m = start_m + start_fraction * step_length_m(layer, start_m);
+    let layer_distance_m = 0.5 * (start_m + end_m);
+    var steps = first_sample_at(layer, start_m, start_fraction);
+    var distance_m = distance_at_m(layer, steps);
 
     var transmittance = 1.0;
     var ambient = 0.0;
@@ -95,44 +142,45 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         var height_fraction = 0.0;
         var density = 0.0;
         var profile = 0.0;
-        var step_m = 0.0;
         // Goes on until it stands in cloud or has left the layer. The loops are nested by cost (map; map and noise; map,
         // noise and sun march), so that neighbouring rays wait for one another only where the work is worth it.
         loop {
 #ifdef DENSITY_WEATHER
             loop {
                 if distance_m >= end_m && second {
-                    distance_m = intervals.second_start_m + start_fraction * step_length_m(layer, intervals.second_start_m);
+                    steps = first_sample_at(layer, intervals.second_start_m, start_fraction);
+                    distance_m = distance_at_m(layer, steps);
                     end_m = intervals.second_end_m;
                     second = false;
                 }
                 if distance_m >= end_m || probes >= PROBES_MAX { break; }
                 position = origin + direction * distance_m;
-                altitude = altitude_m(scene.planet.radius_m, position);
+                altitude = altitude_m(ray.planet_radius_m, position);
                 height_fraction = saturate((altitude - layer.base_altitude_m) / thickness_m);
                 let map = map_texel(layer, position.xz);
                 profile = dimensional_profile(layer, map, height_fraction);
                 if profile > 0.0 { break; }
                 probes += 1u;
                 let skip_m = map.z * layer.skip_range_m / across;
-                distance_m += max(skip_m, EMPTY_STEP_FACTOR * step_length_m(layer, distance_m));
+                steps += max(ceil(steps_at(layer, distance_m + skip_m) - steps), 1.0);
+                distance_m = distance_at_m(layer, steps);
             }
             if distance_m >= end_m || probes >= PROBES_MAX { break; }
-            step_m = step_length_m(layer, distance_m);
             let detail_weight = saturate(2.0 - distance_m * DETAIL_ANGLE_RAD / detail_voxel_m);
             density = carved_density(layer, position, altitude, height_fraction, profile, detail_weight);
             if density > 0.0 { break; }
             probes += 1u;
-            distance_m += EMPTY_STEP_FACTOR * step_m;
+            steps += 1.0;
+            distance_m = distance_at_m(layer, steps);
 #else
             if distance_m >= end_m && second {
-                distance_m = intervals.second_start_m + start_fraction * step_length_m(layer, intervals.second_start_m);
+                steps = first_sample_at(layer, intervals.second_start_m, start_fraction);
+                distance_m = distance_at_m(layer, steps);
                 end_m = intervals.second_end_m;
                 second = false;
             }
-            step_m = step_length_m(layer, distance_m);
             position = origin + direction * distance_m;
-            altitude = altitude_m(scene.planet.radius_m, position);
+            altitude = altitude_m(ray.planet_radius_m, position);
             height_fraction = saturate((altitude - layer.base_altitude_m) / thickness_m);
             density = 1.0;
             profile = 1.0;
@@ -141,26 +189,27 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         }
         if distance_m >= end_m || probes >= PROBES_MAX { break; }
 
-        let length_m = min(step_m, end_m - distance_m);
+        let length_m = step_length_m(layer, distance_m);
         let optical_depth = density * layer.extinction_per_m * length_m;
         // 1 - e^-τ without cancellation for thin steps.
         let opacity = optical_depth * one_minus_exp_over(optical_depth);
         let weight = transmittance * opacity;
-        let sun_depth = sun_optical_depth(layer, position);
+        let sun_depth = sun_optical_depth(ray, layer, position);
         for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) {
-            octave_sums[k] += weight * exp(-scene.light.octave_attenuation[k] * sun_depth);
+            octave_sums[k] += weight * exp(-octave_attenuation[k] * sun_depth);
         }
         // Deep inside and low in a cloud less of the sky is seen. Tuned; replaced when ambient light is measured.
         ambient += weight * (0.3 + 0.7 * height_fraction) * sqrt(saturate(1.0 - 0.75 * profile * density));
-        weighted_distance_m += weight * (distance_m + 0.5 * length_m);
+        weighted_distance_m += weight * distance_m;
         transmittance *= exp(-optical_depth);
-        distance_m += length_m;
+        steps += 1.0;
+        distance_m = distance_at_m(layer, steps);
         if transmittance < TRANSMITTANCE_MIN { break; }
     }
 
     var result: LayerRadiance;
     let albedo = layer.single_scattering_albedo;
-    let angle = one_minus_mu(direction, scene.sun.direction);
+    let angle = one_minus_mu(direction, ray.sun_direction);
     result.single = albedo * octave_sums[0].x;
     result.octaves = 0.0;
     for (var i = 1u; i < scene.light.octaves; i += 1u) {
@@ -170,7 +219,7 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
     }
     result.ambient = albedo * scene.light.ambient * ambient;
     result.transmittance = transmittance;
-    result.distance_m = weighted_distance_m / max(1.0 - transmittance, 1e-6);
+    result.opacity_distance_m = weighted_distance_m + CLEAR_OPACITY * layer_distance_m;
     return result;
 }
 
@@ -179,12 +228,26 @@ fn interleaved_gradient_noise(position: vec2f) -> f32 {
     return fract(52.9829189 * fract(dot(position, vec2f(0.06711056, 0.00583715))));
 }
 
-/// Offset of sample k inside its texel or pixel, each component in -0.5...0.5: the R2 sequence of M. Roberts, 2018.
+/// Eight places of 1/8 by 1/8, no two in a row or column, whose mean is the middle (the standard pattern of eightfold
+/// multisampling), in 1/16: a mean beside the middle would shift the picture.
+const SAMPLE_PLACES: array<vec2f, 8> = array<vec2f, 8>(
+    vec2f(1.0, -3.0), vec2f(-1.0, 3.0), vec2f(5.0, 1.0), vec2f(-3.0, -5.0),
+    vec2f(-5.0, 5.0), vec2f(-7.0, -1.0), vec2f(3.0, 7.0), vec2f(7.0, -7.0),
+);
+
+/// Offset of sample k inside its texel or pixel, each component in -0.5...0.5. Every further eight move inside their
+/// places by the R2 sequence of M. Roberts, 2018, pairwise to opposite sides.
 fn sample_offset(index: u32) -> vec2f {
-    return fract(vec2f(0.5) + f32(index) * vec2f(0.7548776662466927, 0.5698402909980532)) - 0.5;
+    var places = SAMPLE_PLACES;
+    let round = index / 8u;
+    let within = fract(vec2f(0.5) + f32((round + 1u) / 2u) * vec2f(0.7548776662466927, 0.5698402909980532)) - 0.5;
+    return places[index % 8u] / 16.0 + select(within, -within, round % 2u == 1u) / 8.0;
 }
 
-/// Where along a step sample k of a texel or pixel starts, 0...1: its own noise, turned by the golden ratio per sample.
+/// Fraction of a step at which sample k of a texel or pixel stands, 0...1. Eight samples stand in eight equal parts of the
+/// step, far ones first; within a part neighbours differ, and so do further eight, by the golden ratio.
 fn sample_start_fraction(cell: vec2f, index: u32) -> f32 {
-    return fract(interleaved_gradient_noise(cell) + f32(index) * 0.6180339887498949);
+    let part = reverseBits(index % 8u) >> 29u;
+    let within = fract(interleaved_gradient_noise(cell) + f32(index / 8u) * 0.6180339887498949);
+    return (f32(part) + within) / 8.0;
 }

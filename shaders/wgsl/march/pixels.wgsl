@@ -20,14 +20,12 @@ fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
         marched[at + 1u] = sample.octaves;
         marched[at + 2u] = sample.ambient;
         marched[at + 3u] = sample.transmittance;
-        marched[at + 4u] = sample.distance_m;
+        marched[at + 4u] = sample.opacity_distance_m;
         return;
     }
-    let old_opacity = (1.0 - marched[at + 3u]) * (1.0 - weight);
-    let new_opacity = (1.0 - sample.transmittance) * weight;
     marched[at] = mix(marched[at], sample.single, weight);
     marched[at + 1u] = mix(marched[at + 1u], sample.octaves, weight);
     marched[at + 2u] = mix(marched[at + 2u], sample.ambient, weight);
     marched[at + 3u] = mix(marched[at + 3u], sample.transmittance, weight);
-    marched[at + 4u] = (marched[at + 4u] * old_opacity + sample.distance_m * new_opacity) / max(old_opacity + new_opacity, 1e-9);
+    marched[at + 4u] = mix(marched[at + 4u], sample.opacity_distance_m, weight);
 }

@@ -7,12 +7,12 @@
 const TILE_STRIDE: u32 = 64u;
 const GUTTER: u32 = 2u;
 const TILE_INTERIOR: u32 = 60u;
-/// Tiles along a page (an array layer) of the atlas.
-const PAGE_TILES: u32 = 16u;
+/// Tiles of a page (an array layer) of the atlas, one below the other.
+const PAGE_TILES: u32 = 128u;
 
 /// Width of what the samples of a texel cover. Texels are a half to 1.1 pixels wide; wider footprints bring their mean to
 /// that of a pixel. Tuned: FLIP against the screen-space renderer (`tests/tests/accuracy.rs`).
-const FOOTPRINT_TEXELS: f32 = 0.7;
+const FOOTPRINT_TEXELS: f32 = 1.0;
 
 /// One tile that takes one more sample.
 struct TileWork {
@@ -54,6 +54,12 @@ fn above_horizon(direction: vec3f, position: vec3f) -> vec3f {
 /// Largest value that is stored: half floats end at 65 504, and the phases of unscaled octaves can exceed that.
 const STORED_MAX: f32 = 6e4;
 
+/// Rounded to the nearest value with a half float's eleven digits. Drivers may cut digits off where they store, and a mean
+/// that is cut off with every sample becomes darker with every sample.
+fn half_rounded(value: vec4f) -> vec4f {
+    return bitcast<vec4f>((bitcast<vec4u>(value) + 0x1000u) & vec4u(0xffffe000u));
+}
+
 @compute @workgroup_size(8, 8, 1)
 fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
     let item = work[group.z];
@@ -71,21 +77,18 @@ fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
     let start = sample_start_fraction(texel, item.sample_index);
     let sample = march_layer(item.layer, reference.position, direction, start);
 
-    let scratch = vec2u(item.previous % PAGE_TILES, item.previous / PAGE_TILES) * TILE_STRIDE + stored;
+    let scratch = vec2u(0u, item.previous * TILE_STRIDE) + stored;
     let old_radiance = textureLoad(previous_radiance, scratch, 0);
     let old_distance = textureLoad(previous_distance, scratch, 0).x;
     let new_radiance = min(vec4f(sample.single, sample.octaves, sample.ambient, sample.transmittance), vec4f(STORED_MAX));
-    // The distance is weighted by opacity, else a clear sample would pull it to the ray's origin.
-    let old_opacity = (1.0 - old_radiance.w) * (1.0 - item.weight);
-    let new_opacity = (1.0 - new_radiance.w) * item.weight;
-    let opacity = old_opacity + new_opacity;
-    let distance = select(0.0, (old_distance * old_opacity + sample.distance_m * new_opacity) / max(opacity, 1e-9), opacity > 0.0);
+    let new_distance = sample.opacity_distance_m;
     // select, not mix with weight 1: whatever a fresh slot holds, NaN included, must not leak in.
-    let radiance = select(mix(old_radiance, new_radiance, item.weight), new_radiance, item.weight >= 1.0);
+    let replaces = item.weight >= 1.0;
+    let radiance = select(mix(old_radiance, new_radiance, item.weight), new_radiance, replaces);
+    let distance = select(mix(old_distance, new_distance, item.weight), new_distance, replaces);
 
-    let in_page = item.slot % (PAGE_TILES * PAGE_TILES);
-    let target_texel = vec2u(in_page % PAGE_TILES, in_page / PAGE_TILES) * TILE_STRIDE + stored;
-    let page = item.slot / (PAGE_TILES * PAGE_TILES);
-    textureStore(atlas_radiance, target_texel, page, radiance);
-    textureStore(atlas_distance, target_texel, page, vec4f(select(distance, sample.distance_m, item.weight >= 1.0), 0.0, 0.0, 0.0));
+    let target_texel = vec2u(0u, item.slot % PAGE_TILES * TILE_STRIDE) + stored;
+    let page = item.slot / PAGE_TILES;
+    textureStore(atlas_radiance, target_texel, page, half_rounded(radiance));
+    textureStore(atlas_distance, target_texel, page, vec4f(distance, 0.0, 0.0, 0.0));
 }
