@@ -17,6 +17,17 @@ pub struct ServerStats {
     /// Jittered samples that a texel accumulates until it has converged.
     #[serde(default)]
     pub samples: Option<u32>,
+    /// The service's own figures.
+    #[serde(default)]
+    pub service: ServiceStats,
+}
+
+/// What the service counts beside the renderer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+pub struct ServiceStats {
+    /// Processor time since the start, s.
+    #[serde(default)]
+    pub cpu_s: Option<f64>,
 }
 
 /// What renders.

@@ -12,9 +12,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if std::env::args().any(|a| a == "bilinear") {
         config.frame_filter = Some(FrameFilter::Bilinear);
     }
-    let pictures = std::env::args()
-        .find_map(|a| a.parse().ok())
-        .unwrap_or(4);
+    let pictures = std::env::args().find_map(|a| a.parse().ok()).unwrap_or(4);
     let mut still = StillRenderer::new(config, Arc::new(Scene::default()), &[])?;
     let size = FrameSize::new(640, 360)?;
     let camera = Camera::new([0.0, 2.0, 0.0], 0.0, 20.0, 60.0)?;

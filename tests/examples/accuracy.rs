@@ -23,7 +23,13 @@ fn main() -> anyhow::Result<()> {
     };
     let recipes = [
         ("screen-8", screen),
-        ("screen-32", Recipe { samples: 32, ..screen }),
+        (
+            "screen-32",
+            Recipe {
+                samples: 32,
+                ..screen
+            },
+        ),
         ("cached-8", cached),
         (
             "cached-8-bilinear",
@@ -32,7 +38,13 @@ fn main() -> anyhow::Result<()> {
                 ..cached
             },
         ),
-        ("cached-32", Recipe { samples: 32, ..cached }),
+        (
+            "cached-32",
+            Recipe {
+                samples: 32,
+                ..cached
+            },
+        ),
     ];
     let mut pictures = Vec::new();
     for (name, recipe) in recipes {

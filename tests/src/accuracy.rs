@@ -70,7 +70,9 @@ pub struct Recipe {
 /// # Errors
 /// When there is no device that renders it.
 pub fn picture(recipe: Recipe, size: FrameSize) -> anyhow::Result<(RgbImage, u64)> {
-    let mut config = RenderConfig::new(PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/noise-of-tests"));
+    let mut config = RenderConfig::new(
+        PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/noise-of-tests"),
+    );
     config.samples = recipe.samples;
     config.march_steps = Some(recipe.march_steps);
     config.mip_bias = Some(recipe.mip_bias);

@@ -30,11 +30,16 @@ pub(super) async fn measure(
     let spent = still.stats.totals.since(&empty.stats.totals);
     let turning_totals = if options.turn_duration > Duration::ZERO {
         progress.set_message(format!("{label}: turning"));
-        let before = api.stats().await?.totals;
+        let before = api.stats().await?;
         crowd
             .turn(options.turn_speed_deg_per_s, options.turn_duration)
             .await?;
-        Some(api.stats().await?.totals.since(&before))
+        let after = api.stats().await?;
+        let cpu_s = after.service.cpu_s.zip(before.service.cpu_s);
+        Some((
+            after.totals.since(&before.totals),
+            cpu_s.map(|(after, before)| after - before),
+        ))
     } else {
         None
     };
@@ -65,21 +70,25 @@ pub(super) async fn measure(
             ..IdealComparison::default()
         },
         screen_space,
-        turning: turning_totals.map(|totals| turning_report(options, totals, viewers)),
+        turning: turning_totals
+            .map(|(totals, cpu_s)| turning_report(options, totals, cpu_s, viewers)),
     })
 }
 
 fn turning_report(
     options: &LoadOptions,
     spent: Totals,
+    cpu_s: Option<f64>,
     viewers: Vec<ViewerFigures>,
 ) -> TurningReport {
     let mut ages_us = times_histogram();
     let mut fps = Vec::new();
+    let mut frames = 0;
     for turning in viewers.iter().filter_map(|viewer| viewer.turning.as_ref()) {
         // Both have the same bounds, so nothing can be out of them.
         let _ = ages_us.add(&turning.ages_us);
         fps.push(turning.fps);
+        frames += turning.frames;
     }
     fps.sort_by(f64::total_cmp);
     TurningReport {
@@ -88,6 +97,9 @@ fn turning_report(
         gpu_cache_ms: ms(spent.gpu_cache_ns),
         gpu_composite_ms: ms(spent.gpu_composite_ns),
         frames_composited: spent.frames_composited,
+        server_cpu_ms_per_frame: cpu_s
+            .filter(|_| frames > 0)
+            .map(|cpu_s| cpu_s * 1e3 / frames as f64),
         fps_min: fps.first().copied().unwrap_or(0.0),
         fps_median: fps.get(fps.len() / 2).copied().unwrap_or(0.0),
         frame_age_ms: TimesMs::of(&ages_us),

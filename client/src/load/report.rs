@@ -134,6 +134,8 @@ pub struct TurningReport {
     pub gpu_composite_ms: f64,
     /// Frames composited in that time.
     pub frames_composited: u64,
+    /// Processor time of the server, over all cores, for each frame that a viewer got: everything included.
+    pub server_cpu_ms_per_frame: Option<f64>,
     /// Of the slowest viewer.
     pub fps_min: f64,
     /// Of the viewer in the middle.

@@ -62,6 +62,13 @@ const COLUMNS: &[Column] = &[
         cell: |row| optional(row.turning.as_ref().map(|turning| turning.fps_median), 1),
     },
     Column {
+        title: ["CPU ms", "/ frame"],
+        cell: |row| {
+            let turning = row.turning.as_ref();
+            optional(turning.and_then(|t| t.server_cpu_ms_per_frame), 1)
+        },
+    },
+    Column {
         title: ["age ms", "p50"],
         cell: |row| {
             optional(

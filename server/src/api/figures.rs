@@ -50,6 +50,8 @@ struct ServiceStats {
     version: &'static str,
     /// Of the store; the renderer's `scene_revision` follows it.
     scene_revision: u64,
+    /// Processor time that the server has used since it started, over all cores; null where the system does not tell.
+    cpu_s: Option<f64>,
 }
 
 /// `/api/v1/stats`: the renderer's figures and the service's.
@@ -85,6 +87,9 @@ pub(super) async fn stats(State(context): State<Arc<StreamContext>>) -> Json<Sta
             viewers: context.viewers.count(),
             version: env!("CARGO_PKG_VERSION"),
             scene_revision: context.scene.snapshot().revision,
+            cpu_s: cpu_time::ProcessTime::try_now()
+                .ok()
+                .map(|time| time.as_duration().as_secs_f64()),
         },
     })
 }

@@ -88,8 +88,7 @@ fn first_ground_row(view: &layout::View, planet_radius_m: f64) -> u32 {
         return view.height;
     }
     let from_centre_m = planet_radius_m + altitude_m;
-    let dip_sin =
-        (altitude_m * (2.0 * planet_radius_m + altitude_m)).sqrt() / from_centre_m;
+    let dip_sin = (altitude_m * (2.0 * planet_radius_m + altitude_m)).sqrt() / from_centre_m;
     // Directions are in the cell's frame, whose up is the viewer's but for the angle between the two on the planet.
     let tilt = glam::dvec2(f64::from(view.position[0]), f64::from(view.position[2])).length()
         / planet_radius_m;
@@ -244,5 +243,54 @@ impl Picture {
                 1,
             );
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const RADIUS_M: f64 = 6.36e6;
+
+    /// The oracle: the ray's line meets the ground sphere in front of the eye.
+    fn is_ground(position: DVec3, direction: DVec3) -> bool {
+        let from_centre = position + DVec3::Y * RADIUS_M;
+        let along = from_centre.dot(direction);
+        let closest = (from_centre - along * direction).length();
+        along < 0.0 && closest <= RADIUS_M
+    }
+
+    proptest! {
+        #[test]
+        fn where_the_composite_leaves_clouds_out_every_pixel_is_ground(
+            pitch in -89.0..60.0f64, fov in 5.0..120.0f64, altitude_m in 0.5..20_000.0f64, across_m in 0.0..5_000.0f64,
+        ) {
+            let frame = CellFrame::at(DVec3::ZERO, RADIUS_M);
+            let size = FrameSize::new(160, 96).expect("a size");
+            let camera = Camera::new([across_m, altitude_m, 0.0], 90.0, pitch, fov).expect("a camera");
+            let view = view_uniform(&view_frustum(&camera, size, &frame), &frame, size);
+            let [position, forward, right, up] = [view.position, view.forward, view.right, view.up]
+                .map(|v| glam::Vec3::from_array(v).as_dvec3());
+            let first = first_ground_row(&view, RADIUS_M);
+            prop_assert!(first % GROUP_ROWS == 0 || first == 96);
+            for row in first..96 {
+                for column in 0..160 {
+                    let x = 2.0 * (f64::from(column) + 0.5) / 160.0 - 1.0;
+                    let y = 1.0 - 2.0 * (f64::from(row) + 0.5) / 96.0;
+                    let direction = (forward + right * x + up * y).normalize();
+                    prop_assert!(is_ground(position, direction), "pixel {column} {row}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn half_of_a_level_view_needs_no_clouds() {
+        let frame = CellFrame::at(DVec3::ZERO, RADIUS_M);
+        let size = FrameSize::new(640, 352).expect("a size");
+        let camera = Camera::new([0.0, 2.0, 0.0], 0.0, 0.0, 60.0).expect("a camera");
+        let view = view_uniform(&view_frustum(&camera, size, &frame), &frame, size);
+        assert_eq!(first_ground_row(&view, RADIUS_M), 192);
     }
 }

@@ -125,9 +125,7 @@ impl RenderConfig {
         ])?;
         Ok(Self {
             mip_bias: match members.optional::<f64>("mip_bias")? {
-                Some(bias) => {
-                    Some(MIP_BIAS.check(&members.pointer_of("mip_bias"), bias)? as f32)
-                }
+                Some(bias) => Some(MIP_BIAS.check(&members.pointer_of("mip_bias"), bias)? as f32),
                 None => default.mip_bias,
             },
             samples: count(&members, "samples", SAMPLES, default.samples)?,
@@ -138,7 +136,9 @@ impl RenderConfig {
                 default.cache_memory_mib,
             )?,
             march_steps: match members.optional::<u32>("march_steps")? {
-                Some(steps) => Some(MARCH_STEPS.check_u32(&members.pointer_of("march_steps"), steps)?),
+                Some(steps) => {
+                    Some(MARCH_STEPS.check_u32(&members.pointer_of("march_steps"), steps)?)
+                }
                 None => default.march_steps,
             },
             frame_filter: members.optional("frame_filter")?.or(default.frame_filter),

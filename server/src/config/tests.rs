@@ -44,7 +44,10 @@ fn flags_beat_the_environment_and_the_environment_beats_the_file() {
     let config = Config::resolve(&flags, &environment).expect("resolves");
     assert_eq!(config.listen.port(), 3);
     assert_eq!(config.viewers_max, 2);
-    assert_eq!((config.render.samples, config.render.mip_bias), (5, Some(1.0)));
+    assert_eq!(
+        (config.render.samples, config.render.mip_bias),
+        (5, Some(1.0))
+    );
     assert_eq!(config.state_dir, PathBuf::from("state"));
     assert_eq!(config.render.noise_cache_dir, PathBuf::from("state/cache"));
     assert_eq!(

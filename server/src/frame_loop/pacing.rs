@@ -25,8 +25,11 @@ const MARCH_SHARE: f64 = 0.25;
 const MARCH_CREDIT_MAX_S: f64 = 0.03;
 /// Device time of one batch while nobody waits for a frame, and the longest that one may delay a frame that becomes due.
 const RESTING_BATCH: Duration = Duration::from_millis(60);
-/// A resting view that only gets sharper is sent this often.
+/// A resting view that only gets sharper is sent this often at most.
 const REFINE_INTERVAL: Duration = Duration::from_millis(200);
+/// Share of the device's time for views that only get sharper: with many viewers they are sent less often, or the frames
+/// that show the marching would take the time from it.
+const REFINE_SHARE: f64 = 0.2;
 /// A viewer that has moved within this time is moving.
 const MOVING_FOR: Duration = Duration::from_millis(500);
 /// Frames of a cell whose caches have just begun wait this long for the coarse level at most: no cloudless sky flashes.
@@ -294,9 +297,21 @@ impl FrameLoop {
             Change::Seen => Some(pace.due),
             Change::Sharper => Some(
                 pace.composited
-                    .map_or(pace.due, |last| pace.due.max(last + REFINE_INTERVAL)),
+                    .map_or(pace.due, |last| pace.due.max(last + self.refine_interval())),
             ),
         }
+    }
+
+    /// How long a resting view that gets sharper waits for its next frame.
+    fn refine_interval(&self) -> Duration {
+        let (ns, frames) = self.renderer.gpu_time(TimedPass::Composite);
+        if frames == 0 {
+            return REFINE_INTERVAL;
+        }
+        let all_viewers_ns = ns as f64 / frames as f64 * self.paces.len() as f64;
+        REFINE_INTERVAL.max(Duration::from_secs_f64(
+            all_viewers_ns * 1e-9 / REFINE_SHARE,
+        ))
     }
 
     fn composited(&mut self, id: ViewerId, now: Instant) {
@@ -375,8 +390,7 @@ impl FrameLoop {
     /// Whether the device has nothing to do for longer than a tile takes.
     fn device_rests(&self, now: Instant) -> bool {
         let tile = Duration::from_nanos(self.ns_per_tile as u64);
-        self.renderer.in_flight() == 0
-            && self.next_due().is_none_or(|due| due > now + tile)
+        self.renderer.in_flight() == 0 && self.next_due().is_none_or(|due| due > now + tile)
     }
 
     /// The most frames a second that a viewer wants who moves or sees the wind blow; 0 when all rests.

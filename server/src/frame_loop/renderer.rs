@@ -818,12 +818,7 @@ impl SkyRenderer {
             &mut self.timing,
             &self.pipelines,
             &CompositeInputs {
-                key: composite_key(
-                    self.frame_filter,
-                    self.active.len(),
-                    screen_space,
-                    false,
-                ),
+                key: composite_key(self.frame_filter, self.active.len(), screen_space, false),
                 scene: &cell.buffers.scene_group,
                 layers: &layers,
                 view: &view,

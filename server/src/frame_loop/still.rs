@@ -105,9 +105,7 @@ impl StillRenderer {
             .is_some_and(|viewer| viewer.kind == RendererKind::ScreenSpace);
         let key = composite_key(filter, renderer.active.len(), screen_space, linear);
         renderer.pipelines.prepare(&renderer.gpu, key)?;
-        renderer
-            .pipelines
-            .prepare(&renderer.gpu, ground_key(key))?;
+        renderer.pipelines.prepare(&renderer.gpu, ground_key(key))?;
         renderer.refresh_cells();
         if screen_space {
             let samples = f64::from(renderer.config.samples);

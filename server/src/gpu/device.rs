@@ -116,7 +116,11 @@ fn missing(adapter: &wgpu::Adapter) -> Vec<String> {
         .map(|(what, has, needs)| format!("{what}: {has}, needed {needs}"));
     let features = REQUIRED_FEATURES - adapter.features();
     lacks
-        .chain(features.iter_names().map(|(name, _)| format!("feature {name}")))
+        .chain(
+            features
+                .iter_names()
+                .map(|(name, _)| format!("feature {name}")),
+        )
         .collect()
 }
 
