@@ -24,7 +24,10 @@
 fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> LayerRadiance {
 #ifdef SCREEN_SPACE
     let at = ((layer_index * eye.height + pixel.y) * eye.width + pixel.x) * 5u;
-    return LayerRadiance(marched[at], marched[at + 1u], marched[at + 2u], marched[at + 3u], marched[at + 4u]);
+    // Samples of the pixels at the horizon reach above it; the middle of the pixel decides, as it does for the cache.
+    let seen = select(1.0, 0.0, ray.on_ground);
+    let transmittance = select(marched[at + 3u], 1.0, ray.on_ground);
+    return LayerRadiance(seen * marched[at], seen * marched[at + 1u], seen * marched[at + 2u], transmittance, seen * marched[at + 4u]);
 #else
     let sphere = shell_roots(world.planet.radius_m, layer.proxy_altitude_m, eye.position, eye.altitude_m, ray.direction);
     let on_sphere = eye.position + ray.direction * max(sphere.far_m, 1e-3);
