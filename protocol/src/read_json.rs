@@ -184,13 +184,13 @@ impl ReadJson for String {
     }
 }
 
-impl ReadJson for [f64; 3] {
+impl<T: ReadJson> ReadJson for [T; 3] {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
         match value.as_array().map(Vec::as_slice) {
             Some([a, b, c]) => Ok([
-                f64::read_json(a, &format!("{pointer}/0"))?,
-                f64::read_json(b, &format!("{pointer}/1"))?,
-                f64::read_json(c, &format!("{pointer}/2"))?,
+                T::read_json(a, &format!("{pointer}/0"))?,
+                T::read_json(b, &format!("{pointer}/1"))?,
+                T::read_json(c, &format!("{pointer}/2"))?,
             ]),
             _ => Err(ValueError::new(pointer, value, "an array of 3 numbers")),
         }

@@ -39,8 +39,10 @@ gpu_struct! {
         radius_m: f32,
         /// Diffuse reflectance of the ground, 0…1.
         ground_albedo: f32,
+        /// 1, or 0 where nothing lies below.
+        has_ground: f32,
         /// Fills the struct to 16 bytes, as uniforms demand of nested ones.
-        pad_uniform: [f32; 2],
+        pad_uniform: f32,
     }
 }
 
@@ -93,6 +95,10 @@ gpu_struct! {
         ground_air_extinction_per_m: [f32; 3],
         /// Fills to 16 bytes.
         pad_ground: f32,
+        /// Radiance from every direction beside that of the air, W/(m² nm sr).
+        environment_radiance: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_environment: f32,
     }
 }
 

@@ -15,8 +15,8 @@ document! {
     pub struct SceneDocument {
         /// Version of this format; must be there.
         "version" => version: u32 = SCENE_VERSION,
-        /// The ground sphere.
-        "planet" => planet: PlanetDocument = PlanetDocument::default(),
+        /// The ground sphere; null (or "flat", which a merge patch can say) for a flat world without ground.
+        "planet" => planet: PlanetChoice = PlanetChoice::default(),
         /// Direction and strength of the sun.
         "sun" => sun: SunDocument = SunDocument::default(),
         /// The clear sky.
@@ -29,6 +29,46 @@ document! {
         "wind" => wind: WindDocument = WindDocument::default(),
         /// Brightness of the picture in stops; +1 doubles it.
         "exposure_ev" => exposure_ev: f64 = 0.0,
+    }
+}
+
+/// A ground sphere, or a flat world without ground: altitudes are heights above a plane, and nothing lies below.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PlanetChoice {
+    /// A ground sphere.
+    Sphere(PlanetDocument),
+    /// Neither curvature nor ground; `null` in JSON.
+    Flat,
+}
+
+impl Default for PlanetChoice {
+    fn default() -> Self {
+        Self::Sphere(PlanetDocument::default())
+    }
+}
+
+impl Serialize for PlanetChoice {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Sphere(planet) => planet.serialize(serializer),
+            Self::Flat => serializer.serialize_unit(),
+        }
+    }
+}
+
+impl ReadJson for PlanetChoice {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        match value {
+            Value::Null => Ok(Self::Flat),
+            // A merge patch takes null for "remove", which brings the default back.
+            Value::String(text) if text == "flat" => Ok(Self::Flat),
+            Value::Object(_) => PlanetDocument::read_json(value, pointer).map(Self::Sphere),
+            other => Err(ValueError::new(
+                pointer,
+                other,
+                "an object, null or \"flat\"",
+            )),
+        }
     }
 }
 
@@ -61,6 +101,16 @@ document! {
 pub enum AtmosphereDocument {
     /// A closed formula.
     Analytic(AnalyticAtmosphereDocument),
+    /// No air; the same light from everywhere.
+    Uniform(UniformAtmosphereDocument),
+}
+
+document! {
+    /// No air, and an environment of one radiance in every direction: a plain background, or a furnace.
+    pub struct UniformAtmosphereDocument {
+        /// Red, green and blue; 0 is a black background.
+        "radiance_w_per_m2_nm_sr" => radiance_w_per_m2_nm_sr: [f64; 3] = [0.0; 3],
+    }
 }
 
 document! {
@@ -103,13 +153,72 @@ document! {
 pub enum DensityDocument {
     /// Weather maps and noise.
     Weather(WeatherDocument),
-    /// Density 1 everywhere in the layer.
-    Homogeneous,
+    /// Density 1 everywhere in a shape.
+    Homogeneous(HomogeneousDocument),
+    /// Voxels.
+    Grid(GridDocument),
 }
 
 impl Default for DensityDocument {
     fn default() -> Self {
         Self::Weather(WeatherDocument::default())
+    }
+}
+
+document! {
+    /// Density 1 inside a shape, 0 outside. Places are x (east), altitude, z (south) at sky time 0; the shape drifts with
+    /// the layer's wind and bends with the planet, as every cloud does.
+    pub struct HomogeneousDocument {
+        /// What is filled.
+        "shape" => shape: ShapeDocument = ShapeDocument::Layer,
+    }
+}
+
+/// What a homogeneous layer fills, by `form`. Only what lies between the layer's altitudes is filled.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "form", rename_all = "kebab-case")]
+pub enum ShapeDocument {
+    /// The whole layer.
+    Layer,
+    /// A box along the axes.
+    Box(BoxDocument),
+    /// A ball.
+    Sphere(SphereDocument),
+}
+
+document! {
+    /// A box along the axes.
+    pub struct BoxDocument {
+        /// Its middle: x, altitude, z.
+        "center_m" => center_m: [f64; 3] = [0.0, 2000.0, 0.0],
+        /// Its edges.
+        "size_m" => size_m: [f64; 3] = [1000.0; 3],
+    }
+}
+
+document! {
+    /// A ball.
+    pub struct SphereDocument {
+        /// Its middle: x, altitude, z.
+        "center_m" => center_m: [f64; 3] = [0.0, 2000.0, 0.0],
+        /// Its radius.
+        "radius_m" => radius_m: f64 = 500.0,
+    }
+}
+
+document! {
+    /// Density from voxels: raw 32-bit floats, little-endian, x fastest, then altitude, then z. The value of a voxel holds
+    /// at its middle, between middles it is interpolated linearly, within half a voxel of the bounds it is the outermost
+    /// voxel's, and outside the bounds it is 0.
+    pub struct GridDocument {
+        /// Name of the file, without folders: beside the scene file, or in the folder `grids` of the server's state.
+        "file" => file: String = String::new(),
+        /// Voxels along x, altitude and z.
+        "dimensions" => dimensions: [u32; 3] = [1; 3],
+        /// Lower corner: x, altitude, z.
+        "bounds_min_m" => bounds_min_m: [f64; 3] = [-500.0, 1500.0, -500.0],
+        /// Upper corner.
+        "bounds_max_m" => bounds_max_m: [f64; 3] = [500.0, 2500.0, 500.0],
     }
 }
 
@@ -269,22 +378,85 @@ fn only_model_keys(
 impl ReadJson for AtmosphereDocument {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
         let members = ObjectReader::new(value, pointer)?;
-        read_model(&members, (), &[("analytic", ())])?;
-        only_model_keys(&members, "analytic", AnalyticAtmosphereDocument::KEYS)?;
-        AnalyticAtmosphereDocument::read_members(&members).map(Self::Analytic)
+        let analytic = read_model(&members, true, &[("analytic", true), ("uniform", false)])?;
+        if analytic {
+            only_model_keys(&members, "analytic", AnalyticAtmosphereDocument::KEYS)?;
+            AnalyticAtmosphereDocument::read_members(&members).map(Self::Analytic)
+        } else {
+            only_model_keys(&members, "uniform", UniformAtmosphereDocument::KEYS)?;
+            UniformAtmosphereDocument::read_members(&members).map(Self::Uniform)
+        }
     }
 }
 
 impl ReadJson for DensityDocument {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        #[derive(Clone, Copy)]
+        enum Model {
+            Weather,
+            Homogeneous,
+            Grid,
+        }
         let members = ObjectReader::new(value, pointer)?;
-        let is_weather = read_model(&members, true, &[("weather", true), ("homogeneous", false)])?;
-        if is_weather {
-            only_model_keys(&members, "weather", WeatherDocument::KEYS)?;
-            WeatherDocument::read_members(&members).map(Self::Weather)
-        } else {
-            only_model_keys(&members, "homogeneous", &[])?;
-            Ok(Self::Homogeneous)
+        let model = read_model(
+            &members,
+            Model::Weather,
+            &[
+                ("weather", Model::Weather),
+                ("homogeneous", Model::Homogeneous),
+                ("grid", Model::Grid),
+            ],
+        )?;
+        match model {
+            Model::Weather => {
+                only_model_keys(&members, "weather", WeatherDocument::KEYS)?;
+                WeatherDocument::read_members(&members).map(Self::Weather)
+            }
+            Model::Homogeneous => {
+                only_model_keys(&members, "homogeneous", HomogeneousDocument::KEYS)?;
+                HomogeneousDocument::read_members(&members).map(Self::Homogeneous)
+            }
+            Model::Grid => {
+                only_model_keys(&members, "grid", GridDocument::KEYS)?;
+                GridDocument::read_members(&members).map(Self::Grid)
+            }
+        }
+    }
+}
+
+impl ReadJson for ShapeDocument {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        #[derive(Clone, Copy)]
+        enum Form {
+            Layer,
+            Box,
+            Sphere,
+        }
+        let members = ObjectReader::new(value, pointer)?;
+        let names = [
+            ("layer", Form::Layer),
+            ("box", Form::Box),
+            ("sphere", Form::Sphere),
+        ];
+        let form = match members.optional::<Value>("form")? {
+            Some(value) => read_name(&value, &members.pointer_of("form"), &names)?,
+            None => Form::Layer,
+        };
+        let only = |keys: &[&str]| {
+            let mut known = vec!["form"];
+            known.extend_from_slice(keys);
+            members.only(&known)
+        };
+        match form {
+            Form::Layer => only(&[]).map(|()| Self::Layer),
+            Form::Box => {
+                only(BoxDocument::KEYS)?;
+                BoxDocument::read_members(&members).map(Self::Box)
+            }
+            Form::Sphere => {
+                only(SphereDocument::KEYS)?;
+                SphereDocument::read_members(&members).map(Self::Sphere)
+            }
         }
     }
 }

@@ -1,8 +1,9 @@
-//! Cloud layers: shells of the atmosphere and how their density comes about.
+//! Cloud layers: shells of the atmosphere that hold clouds.
 
 use serde_json::Value;
 
-use super::document::{DensityDocument, LayerDocument, WeatherDocument};
+use super::density::DensityModel;
+use super::document::LayerDocument;
 use super::ranges;
 use super::sky::Wind;
 use crate::ValueError;
@@ -57,64 +58,6 @@ impl CloudLayer {
     }
 }
 
-/// How a layer's density comes about.
-#[derive(Clone, Debug, PartialEq)]
-pub enum DensityModel {
-    /// Weather maps and noise.
-    Weather(WeatherDensity),
-    /// Density 1 everywhere in the layer.
-    Homogeneous,
-}
-
-/// Density from weather maps and noise.
-#[derive(Clone, Debug, PartialEq)]
-pub struct WeatherDensity {
-    coverage: f64,
-    cloud_type: f64,
-    map_span_m: f64,
-    shape_period_m: f64,
-    detail_period_m: f64,
-    detail_strength: f64,
-    seed: u32,
-}
-
-impl WeatherDensity {
-    /// Share of the sky that clouds cover, 0 to 1.
-    pub fn coverage(&self) -> f64 {
-        self.coverage
-    }
-
-    /// 0 stratus to 1 cumulus.
-    pub fn cloud_type(&self) -> f64 {
-        self.cloud_type
-    }
-
-    /// Length after which the maps repeat.
-    pub fn map_span_m(&self) -> f64 {
-        self.map_span_m
-    }
-
-    /// Length after which the noise that shapes clouds repeats.
-    pub fn shape_period_m(&self) -> f64 {
-        self.shape_period_m
-    }
-
-    /// Length after which the noise that frays their edges repeats.
-    pub fn detail_period_m(&self) -> f64 {
-        self.detail_period_m
-    }
-
-    /// How much the edges are frayed, 0 to 1.
-    pub fn detail_strength(&self) -> f64 {
-        self.detail_strength
-    }
-
-    /// Another number, another sky.
-    pub fn seed(&self) -> u32 {
-        self.seed
-    }
-}
-
 impl TryFrom<LayerDocument> for CloudLayer {
     type Error = ValueError;
 
@@ -162,61 +105,6 @@ impl From<&CloudLayer> for LayerDocument {
             extinction_per_m: layer.extinction_per_m,
             single_scattering_albedo: layer.single_scattering_albedo,
             wind: layer.wind.as_ref().map(Into::into),
-        }
-    }
-}
-
-impl TryFrom<DensityDocument> for DensityModel {
-    type Error = ValueError;
-
-    fn try_from(document: DensityDocument) -> Result<Self, ValueError> {
-        match document {
-            DensityDocument::Weather(weather) => {
-                WeatherDensity::try_from(weather).map(Self::Weather)
-            }
-            DensityDocument::Homogeneous => Ok(Self::Homogeneous),
-        }
-    }
-}
-
-impl From<&DensityModel> for DensityDocument {
-    fn from(density: &DensityModel) -> Self {
-        match density {
-            DensityModel::Weather(weather) => Self::Weather(weather.into()),
-            DensityModel::Homogeneous => Self::Homogeneous,
-        }
-    }
-}
-
-impl TryFrom<WeatherDocument> for WeatherDensity {
-    type Error = ValueError;
-
-    fn try_from(document: WeatherDocument) -> Result<Self, ValueError> {
-        Ok(Self {
-            coverage: ranges::COVERAGE.check("/coverage", document.coverage)?,
-            cloud_type: ranges::CLOUD_TYPE.check("/type", document.cloud_type)?,
-            map_span_m: ranges::MAP_SPAN_M.check("/map_span_m", document.map_span_m)?,
-            shape_period_m: ranges::SHAPE_PERIOD_M
-                .check("/shape_period_m", document.shape_period_m)?,
-            detail_period_m: ranges::DETAIL_PERIOD_M
-                .check("/detail_period_m", document.detail_period_m)?,
-            detail_strength: ranges::DETAIL_STRENGTH
-                .check("/detail_strength", document.detail_strength)?,
-            seed: document.seed,
-        })
-    }
-}
-
-impl From<&WeatherDensity> for WeatherDocument {
-    fn from(weather: &WeatherDensity) -> Self {
-        Self {
-            coverage: weather.coverage,
-            cloud_type: weather.cloud_type,
-            map_span_m: weather.map_span_m,
-            shape_period_m: weather.shape_period_m,
-            detail_period_m: weather.detail_period_m,
-            detail_strength: weather.detail_strength,
-            seed: weather.seed,
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Everything that defines the sky: the wire document and the domain types it becomes.
 
+mod density;
 mod document;
 mod layer;
 mod light;
@@ -10,14 +11,18 @@ mod tests;
 
 use serde_json::Value;
 
+pub use density::{DensityModel, GridDensity, Shape, WeatherDensity};
 pub use document::{
-    AnalyticAtmosphereDocument, AtmosphereDocument, DensityDocument, DraineDocument, HgDocument,
-    HgDraineDocument, LayerDocument, LightDocument, PhaseDocument, PlanetDocument, SCENE_VERSION,
-    SceneDocument, SunDocument, WeatherDocument, WindDocument,
+    AnalyticAtmosphereDocument, AtmosphereDocument, BoxDocument, DensityDocument, DraineDocument,
+    GridDocument, HgDocument, HgDraineDocument, HomogeneousDocument, LayerDocument, LightDocument,
+    PhaseDocument, PlanetChoice, PlanetDocument, SCENE_VERSION, SceneDocument, ShapeDocument,
+    SphereDocument, SunDocument, UniformAtmosphereDocument, WeatherDocument, WindDocument,
 };
-pub use layer::{CloudLayer, DensityModel, WeatherDensity};
+pub use layer::CloudLayer;
 pub use light::{Light, PhaseFunction};
-pub use sky::{AnalyticAtmosphere, Atmosphere, Planet, Sun, Wind};
+pub use sky::{
+    AnalyticAtmosphere, Atmosphere, FLAT_RADIUS_M, Planet, Sun, UniformAtmosphere, Wind,
+};
 
 use crate::ValueError;
 use ranges::{EXPOSURE_EV, LAYERS_MAX};

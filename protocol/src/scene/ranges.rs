@@ -20,6 +20,20 @@ pub const LAYERS_MAX: usize = 4;
 pub const LAYER_NAME_MAX_CHARS: usize = 32;
 /// `base_altitude_m` and `top_altitude_m`; the top is not below the base either
 pub const LAYER_ALTITUDE_M: NumberRange = NumberRange::new(0.0, 2.0e5);
+/// x and z of the shapes and bounds of a layer's density
+pub const SHAPE_HORIZONTAL_M: NumberRange = NumberRange::new(-2.0e7, 2.0e7);
+/// altitudes of the shapes and bounds of a layer's density
+pub const SHAPE_ALTITUDE_M: NumberRange = NumberRange::new(-2.0e5, 4.0e5);
+/// `size_m` of a box and `radius_m` of a ball
+pub const SHAPE_SIZE_M: NumberRange = NumberRange::new(1.0e-3, 4.0e7);
+/// each of `dimensions` of a grid
+pub const GRID_DIMENSION: NumberRange = NumberRange::new(1.0, 2048.0);
+/// How many voxels a grid may have: 256 MiB.
+pub const GRID_VOXELS_MAX: u64 = 1 << 26;
+/// How many characters the name of a grid's file may have; at least one.
+pub const GRID_FILE_MAX_CHARS: usize = 64;
+/// each of `radiance_w_per_m2_nm_sr` of a uniform environment
+pub const ENVIRONMENT_RADIANCE: NumberRange = NumberRange::new(0.0, 1.0e4);
 /// `coverage`
 pub const COVERAGE: NumberRange = NumberRange::new(0.0, 1.0);
 /// `type`

@@ -3,47 +3,70 @@
 use glam::DVec3;
 
 use super::document::{
-    AnalyticAtmosphereDocument, AtmosphereDocument, PlanetDocument, SunDocument, WindDocument,
+    AnalyticAtmosphereDocument, AtmosphereDocument, PlanetChoice, PlanetDocument, SunDocument,
+    UniformAtmosphereDocument, WindDocument,
 };
 use super::ranges;
 use crate::ValueError;
 use crate::camera::direction_of_angles;
 
-/// The ground sphere.
+/// The radius that stands for a flat world where formulas need one: over 100 km of ground the sphere sinks by 5 mm, and
+/// its square still fits into an f32.
+pub const FLAT_RADIUS_M: f64 = 1.0e12;
+
+/// The ground sphere, or a flat world without ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Planet {
+    sphere: Option<Sphere>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Sphere {
     radius_m: f64,
     ground_albedo: f64,
 }
 
 impl Planet {
-    /// Radius of the ground.
+    /// Whether there is neither curvature nor ground.
+    pub fn is_flat(&self) -> bool {
+        self.sphere.is_none()
+    }
+
+    /// Radius of the ground; [`FLAT_RADIUS_M`] where there is none.
     pub fn radius_m(&self) -> f64 {
-        self.radius_m
+        self.sphere.map_or(FLAT_RADIUS_M, |sphere| sphere.radius_m)
     }
 
     /// Share of light that the ground reflects, 0 to 1.
     pub fn ground_albedo(&self) -> f64 {
-        self.ground_albedo
+        self.sphere.map_or(0.0, |sphere| sphere.ground_albedo)
     }
 }
 
-impl TryFrom<PlanetDocument> for Planet {
+impl TryFrom<PlanetChoice> for Planet {
     type Error = ValueError;
 
-    fn try_from(document: PlanetDocument) -> Result<Self, ValueError> {
-        Ok(Self {
-            radius_m: ranges::PLANET_RADIUS_M.check("/radius_m", document.radius_m)?,
-            ground_albedo: ranges::GROUND_ALBEDO.check("/ground_albedo", document.ground_albedo)?,
-        })
+    fn try_from(document: PlanetChoice) -> Result<Self, ValueError> {
+        let sphere = match document {
+            PlanetChoice::Flat => None,
+            PlanetChoice::Sphere(document) => Some(Sphere {
+                radius_m: ranges::PLANET_RADIUS_M.check("/radius_m", document.radius_m)?,
+                ground_albedo: ranges::GROUND_ALBEDO
+                    .check("/ground_albedo", document.ground_albedo)?,
+            }),
+        };
+        Ok(Self { sphere })
     }
 }
 
-impl From<&Planet> for PlanetDocument {
+impl From<&Planet> for PlanetChoice {
     fn from(planet: &Planet) -> Self {
-        Self {
-            radius_m: planet.radius_m,
-            ground_albedo: planet.ground_albedo,
+        match planet.sphere {
+            None => Self::Flat,
+            Some(sphere) => Self::Sphere(PlanetDocument {
+                radius_m: sphere.radius_m,
+                ground_albedo: sphere.ground_albedo,
+            }),
         }
     }
 }
@@ -106,6 +129,21 @@ impl From<&Sun> for SunDocument {
 pub enum Atmosphere {
     /// A closed formula.
     Analytic(AnalyticAtmosphere),
+    /// No air; the same light from everywhere.
+    Uniform(UniformAtmosphere),
+}
+
+/// An environment of one radiance in every direction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UniformAtmosphere {
+    radiance_w_per_m2_nm_sr: [f64; 3],
+}
+
+impl UniformAtmosphere {
+    /// Red, green and blue.
+    pub fn radiance_w_per_m2_nm_sr(&self) -> [f64; 3] {
+        self.radiance_w_per_m2_nm_sr
+    }
 }
 
 /// A clear sky by a closed formula.
@@ -130,6 +168,10 @@ impl TryFrom<AtmosphereDocument> for Atmosphere {
                 aerosol_optical_depth: ranges::AEROSOL_OPTICAL_DEPTH
                     .check("/aerosol_optical_depth", document.aerosol_optical_depth)?,
             })),
+            AtmosphereDocument::Uniform(document) => Ok(Self::Uniform(UniformAtmosphere {
+                radiance_w_per_m2_nm_sr: ranges::ENVIRONMENT_RADIANCE
+                    .check_each("/radiance_w_per_m2_nm_sr", document.radiance_w_per_m2_nm_sr)?,
+            })),
         }
     }
 }
@@ -139,6 +181,9 @@ impl From<&Atmosphere> for AtmosphereDocument {
         match atmosphere {
             Atmosphere::Analytic(sky) => Self::Analytic(AnalyticAtmosphereDocument {
                 aerosol_optical_depth: sky.aerosol_optical_depth,
+            }),
+            Atmosphere::Uniform(sky) => Self::Uniform(UniformAtmosphereDocument {
+                radiance_w_per_m2_nm_sr: sky.radiance_w_per_m2_nm_sr,
             }),
         }
     }

@@ -103,7 +103,7 @@ fn each_kind_of_bad_document_is_refused_where_it_is_wrong() {
             "/layers/0/top_altitude_m",
         ),
         (
-            json!({"version": 1, "layers": [{"density": {"model": "grid"}}]}),
+            json!({"version": 1, "layers": [{"density": {"model": "cheese"}}]}),
             "/layers/0/density/model",
         ),
         (
@@ -230,7 +230,100 @@ fn density() -> impl Strategy<Value = DensityDocument> {
                 })
             },
         );
-    prop_oneof![weather, Just(DensityDocument::Homogeneous)]
+    let places = || {
+        [
+            in_range(ranges::SHAPE_HORIZONTAL_M),
+            in_range(ranges::SHAPE_ALTITUDE_M),
+            in_range(ranges::SHAPE_HORIZONTAL_M),
+        ]
+    };
+    let sizes = || [(); 3].map(|()| in_range(ranges::SHAPE_SIZE_M));
+    let shape = prop_oneof![
+        Just(ShapeDocument::Layer),
+        (places(), sizes())
+            .prop_map(|(center_m, size_m)| ShapeDocument::Box(BoxDocument { center_m, size_m })),
+        (places(), in_range(ranges::SHAPE_SIZE_M)).prop_map(|(center_m, radius_m)| {
+            ShapeDocument::Sphere(SphereDocument { center_m, radius_m })
+        }),
+    ];
+    let homogeneous =
+        shape.prop_map(|shape| DensityDocument::Homogeneous(HomogeneousDocument { shape }));
+    let grid = (
+        "[a-zA-Z0-9_-][a-zA-Z0-9._-]{0,20}",
+        [(); 3].map(|()| 1..=400u32),
+    )
+        .prop_map(|(file, dimensions)| {
+            DensityDocument::Grid(GridDocument {
+                file,
+                dimensions,
+                ..GridDocument::default()
+            })
+        });
+    prop_oneof![weather, homogeneous, grid]
+}
+
+fn planet() -> impl Strategy<Value = PlanetChoice> {
+    prop_oneof![
+        Just(PlanetChoice::Flat),
+        in_range(ranges::PLANET_RADIUS_M).prop_map(|radius_m| PlanetChoice::Sphere(
+            PlanetDocument {
+                radius_m,
+                ..PlanetDocument::default()
+            }
+        )),
+    ]
+}
+
+fn atmosphere() -> impl Strategy<Value = AtmosphereDocument> {
+    prop_oneof![
+        in_range(ranges::AEROSOL_OPTICAL_DEPTH).prop_map(|aerosol_optical_depth| {
+            AtmosphereDocument::Analytic(AnalyticAtmosphereDocument {
+                aerosol_optical_depth,
+            })
+        }),
+        in_range(ranges::ENVIRONMENT_RADIANCE).prop_map(|radiance| {
+            AtmosphereDocument::Uniform(UniformAtmosphereDocument {
+                radiance_w_per_m2_nm_sr: [radiance; 3],
+            })
+        }),
+    ]
+}
+
+#[test]
+fn a_flat_world_is_null_in_a_document_and_a_word_in_a_patch() {
+    for flat in [Value::Null, json!("flat")] {
+        let scene = Scene::from_json(&json!({"version": 1, "planet": flat})).expect("flat");
+        assert!(scene.planet().is_flat());
+        let document = serde_json::to_value(scene.to_document()).expect("serialises");
+        assert_eq!(document["planet"], Value::Null);
+    }
+    let round = Scene::from_json(&json!({"version": 1})).expect("defaults");
+    assert!(!round.planet().is_flat());
+}
+
+#[test]
+fn a_grid_names_a_file_without_folders_and_bounds_with_an_inside() {
+    let with = |key: &str, value: Value| {
+        let mut grid = json!({"model": "grid", "file": "cloud.f32", "dimensions": [4, 4, 4]});
+        grid[key] = value;
+        error_of(json!({"version": 1, "layers": [{"density": grid}]})).pointer
+    };
+    for (key, value, pointer) in [
+        ("file", json!(""), "file"),
+        ("file", json!("../secret"), "file"),
+        ("file", json!("a/b"), "file"),
+        ("file", json!(".hidden"), "file"),
+        ("file", json!("x".repeat(65)), "file"),
+        ("dimensions", json!([0, 1, 1]), "dimensions/0"),
+        ("dimensions", json!([1, 1, 2049]), "dimensions/2"),
+        ("dimensions", json!([2048, 2048, 2048]), "dimensions"),
+        ("bounds_max_m", json!([-500, 2500, 500]), "bounds_max_m/0"),
+        ("bounds_min_m", json!([-500, -3e5, 500]), "bounds_min_m/1"),
+        ("shape", json!({}), "shape"),
+    ] {
+        let found = with(key, value);
+        assert_eq!(found, format!("/layers/0/density/{pointer}"), "{key}");
+    }
 }
 
 fn layers() -> impl Strategy<Value = Vec<LayerDocument>> {
@@ -278,13 +371,15 @@ fn phase() -> impl Strategy<Value = PhaseDocument> {
 proptest! {
     #[test]
     fn a_scene_survives_document_and_json(
-        layers in layers(), phase in phase(), wind in wind(),
+        layers in layers(), phase in phase(), wind in wind(), planet in planet(), atmosphere in atmosphere(),
         exposure_ev in in_range(ranges::EXPOSURE_EV), octaves in 1..=16u32,
     ) {
         let document = SceneDocument {
             layers,
             wind,
             exposure_ev,
+            planet,
+            atmosphere,
             light: LightDocument { phase, octaves, ..LightDocument::default() },
             ..SceneDocument::default()
         };

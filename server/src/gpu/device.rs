@@ -107,7 +107,7 @@ fn missing(adapter: &wgpu::Adapter) -> Vec<String> {
         (
             "invocations of a workgroup",
             limits.max_compute_invocations_per_workgroup,
-            64,
+            128,
         ),
     ];
     let lacks = needed

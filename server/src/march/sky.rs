@@ -48,6 +48,8 @@ pub struct SkyLight {
     pub sun_column_kept: DVec3,
     /// Higher orders of scattering per unit of what the column towards the viewer takes out, 1/sr.
     pub diffuse_per_sr: DVec3,
+    /// Radiance from every direction beside that of the air.
+    pub environment_radiance: DVec3,
 }
 
 fn exp(v: DVec3) -> DVec3 {
@@ -92,7 +94,7 @@ impl SkyLight {
         let slab = exp(-sun_depth.min(view_depth))
             * DVec3::from_array(difference.to_array().map(one_minus_exp_over));
         let diffuse = (DVec3::ONE - exp(-view_depth)) * self.diffuse_per_sr;
-        self.lit * self.sun_irradiance * (scattered * slab + diffuse)
+        self.environment_radiance + self.lit * self.sun_irradiance * (scattered * slab + diffuse)
     }
 }
 
@@ -110,14 +112,26 @@ impl SkyLight {
 #[must_use]
 pub fn sky_light(scene: &Scene, cloud_altitude_m: f64) -> SkyLight {
     let radius_m = scene.planet().radius_m();
-    let Atmosphere::Analytic(atmosphere) = scene.atmosphere();
+    let (rayleigh_optical_depth, aerosol_optical_depth, environment_radiance) =
+        match scene.atmosphere() {
+            Atmosphere::Analytic(sky) => (
+                DVec3::from_array(RAYLEIGH_OPTICAL_DEPTH),
+                sky.aerosol_optical_depth(),
+                DVec3::ZERO,
+            ),
+            Atmosphere::Uniform(sky) => (
+                DVec3::ZERO,
+                0.0,
+                DVec3::from_array(sky.radiance_w_per_m2_nm_sr()),
+            ),
+        };
     let mut light = SkyLight {
         sun_direction: scene.sun().direction(),
         sun_angular_radius_rad: SUN_ANGULAR_RADIUS_DEG.to_radians(),
         sun_irradiance: DVec3::from_array(scene.sun().irradiance_w_per_m2_nm()),
         irradiance_at_clouds: DVec3::ZERO,
-        rayleigh_optical_depth: DVec3::from_array(RAYLEIGH_OPTICAL_DEPTH),
-        aerosol_optical_depth: atmosphere.aerosol_optical_depth(),
+        rayleigh_optical_depth,
+        aerosol_optical_depth,
         aerosol_asymmetry: AEROSOL_ASYMMETRY,
         mean_radiance: DVec3::ZERO,
         ground_radiance: DVec3::ZERO,
@@ -125,6 +139,7 @@ pub fn sky_light(scene: &Scene, cloud_altitude_m: f64) -> SkyLight {
         sun_column: DVec3::ZERO,
         sun_column_kept: DVec3::ZERO,
         diffuse_per_sr: DVec3::ZERO,
+        environment_radiance,
     };
     let mu_sun = light.sun_direction.y;
     let (rayleigh, aerosol) = light.column(radius_m, mu_sun);
@@ -140,6 +155,9 @@ pub fn sky_light(scene: &Scene, cloud_altitude_m: f64) -> SkyLight {
         rayleigh * share_above(SCALE_HEIGHTS_M[0]) + aerosol * share_above(SCALE_HEIGHTS_M[1]);
     // Clouds see the sun until it is a disc's radius under their own, lower horizon.
     let visible = |altitude_m: f64| {
+        if scene.planet().is_flat() {
+            return 1.0;
+        }
         let dip_rad = (radius_m / (radius_m + altitude_m.max(0.0))).acos();
         let elevation_rad = mu_sun.clamp(-1.0, 1.0).asin();
         let t = (elevation_rad + dip_rad) / (2.0 * light.sun_angular_radius_rad) + 0.5;

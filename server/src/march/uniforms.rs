@@ -44,7 +44,7 @@ pub fn active_layers(scene: &Scene) -> Vec<ActiveLayer> {
         .filter(|(_, layer)| {
             let covers = match layer.density() {
                 DensityModel::Weather(weather) => weather.coverage() > 0.0,
-                DensityModel::Homogeneous => true,
+                DensityModel::Homogeneous(_) | DensityModel::Grid(_) => true,
             };
             covers
                 && layer.extinction_per_m() > 0.0
@@ -53,7 +53,7 @@ pub fn active_layers(scene: &Scene) -> Vec<ActiveLayer> {
         .map(|(scene_index, layer)| {
             let height_fraction = match layer.density() {
                 DensityModel::Weather(weather) => mean_height_fraction(weather.cloud_type()),
-                DensityModel::Homogeneous => 0.5,
+                DensityModel::Homogeneous(_) | DensityModel::Grid(_) => 0.5,
             };
             let thickness_m = layer.top_altitude_m() - layer.base_altitude_m();
             ActiveLayer {
@@ -151,6 +151,7 @@ pub fn scene_uniform(
         planet: layout::Planet {
             radius_m: scene.planet().radius_m() as f32,
             ground_albedo: scene.planet().ground_albedo() as f32,
+            has_ground: f32::from(u8::from(!scene.planet().is_flat())),
             ..Default::default()
         },
         layer_count: active.len() as u32,
@@ -174,6 +175,7 @@ pub fn scene_uniform(
             sun_column_kept: f32s(light.sun_column_kept),
             diffuse_per_sr: f32s(light.diffuse_per_sr),
             ground_air_extinction_per_m: f32s(light.air_extinction_per_m(0.0)),
+            environment_radiance: f32s(light.environment_radiance),
             ..Default::default()
         },
         light: layout::Light {

@@ -47,7 +47,7 @@ fn background(world: Scene, position: vec3f, altitude_m: f32, direction: vec3f) 
 fn pixel_ray(world: Scene, position: vec3f, altitude_m: f32, direction: vec3f) -> Ray {
     let b = dot(direction, position) + world.planet.radius_m * direction.y;
     let c = altitude_m * (altitude_m + 2.0 * world.planet.radius_m);
-    return Ray(direction, one_minus_mu(direction, world.sun.direction), b < 0.0 && b * b >= c);
+    return Ray(direction, one_minus_mu(direction, world.sun.direction), b < 0.0 && b * b >= c && world.planet.has_ground > 0.0);
 }
 
 /// What a ray sees where no cloud is: sky and sun, or the ground.

@@ -42,8 +42,8 @@ struct LayerIntervals {
     second_end_m: f32,
 }
 
-/// Intervals of the ray between two altitudes, in front of its origin and in front of the ground.
-fn layer_intervals(planet_radius_m: f32, base_altitude_m: f32, top_altitude_m: f32, origin: vec3f, direction: vec3f) -> LayerIntervals {
+/// Intervals of the ray between two altitudes, in front of its origin and, where there is one, in front of the ground.
+fn layer_intervals(planet_radius_m: f32, has_ground: bool, base_altitude_m: f32, top_altitude_m: f32, origin: vec3f, direction: vec3f) -> LayerIntervals {
     let altitude = altitude_m(planet_radius_m, origin);
     let ground = shell_roots(planet_radius_m, 0.0, origin, altitude, direction);
     let base = shell_roots(planet_radius_m, base_altitude_m, origin, altitude, direction);
@@ -51,7 +51,7 @@ fn layer_intervals(planet_radius_m: f32, base_altitude_m: f32, top_altitude_m: f
     var intervals = LayerIntervals(0.0, 0.0, 0.0, 0.0);
     let start_m = max(top.near_m, 0.0);
     // A line that misses the ground, or meets it behind the origin, is not cut.
-    let ground_cuts = ground.hit && ground.near_m > 0.0;
+    let ground_cuts = has_ground && ground.hit && ground.near_m > 0.0;
     let end_m = select(top.far_m, min(top.far_m, ground.near_m), ground_cuts);
     let some = top.hit && end_m > start_m;
     intervals.first_start_m = start_m;

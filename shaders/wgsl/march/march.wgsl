@@ -112,7 +112,8 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
     for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_attenuation[k] = scene.light.octave_attenuation[k]; }
     let layer = scene.layers[layer_index];
     let thickness_m = max(layer.top_altitude_m - layer.base_altitude_m, 1e-3);
-    let intervals = layer_intervals(ray.planet_radius_m, layer.base_altitude_m, layer.top_altitude_m, origin, direction);
+    let has_ground = scene.planet.has_ground > 0.0;
+    let intervals = layer_intervals(ray.planet_radius_m, has_ground, layer.base_altitude_m, layer.top_altitude_m, origin, direction);
     // Horizontal metres per metre of ray; the floor keeps the quotient finite for vertical rays.
     let across = max(length(direction.xz), 1e-3);
     let detail_voxel_m = 1.0 / max(layer.detail_per_m * 32.0, 1e-9);

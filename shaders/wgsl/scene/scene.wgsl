@@ -7,8 +7,10 @@
 struct Planet {
     radius_m: f32,
     ground_albedo: f32,
+    /// 1, or 0 where nothing lies below: a flat world.
+    has_ground: f32,
     /// Fills the struct to 16 bytes, as uniforms demand of nested ones.
-    pad_uniform: vec2f,
+    pad_uniform: f32,
 }
 
 /// The sun, as seen from the cell.
@@ -48,6 +50,9 @@ struct Sky {
     /// Extinction of the air at the ground, per channel, 1/m.
     ground_air_extinction_per_m: vec3f,
     pad_ground: f32,
+    /// Radiance that comes from every direction beside that of the air.
+    environment_radiance: vec3f,
+    pad_environment: f32,
 }
 
 /// How light scatters in cloud.

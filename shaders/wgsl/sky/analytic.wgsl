@@ -43,7 +43,7 @@ fn clear_sky(planet: Planet, sky: Sky, sun: Sun, direction: vec3f, angle: f32) -
     // Higher orders: what the column takes out of the beam comes back evenly. The factor is tuned: it brings the horizon
     // to about four times the zenith, as in photographs of clear skies.
     let diffuse = (vec3f(1.0) - kept) * sky.diffuse_per_sr;
-    return ClearSky(sky.lit * sun.irradiance * (scattered * slab + diffuse), kept);
+    return ClearSky(sky.environment_radiance + sky.lit * sun.irradiance * (scattered * slab + diffuse), kept);
 }
 
 /// Radiance of the sun's disc times how much of it a direction sees, before the atmosphere dims it.
