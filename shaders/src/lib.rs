@@ -22,15 +22,18 @@ pub enum Kernel {
     Composite,
     /// Physical functions evaluated at given points, for tests.
     Probe,
+    /// Functions of the scene and its cloud field evaluated at given points.
+    ProbeField,
 }
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 4] = [
+    pub const ALL: [Self; 5] = [
         Self::MarchTexels,
         Self::MarchPixels,
         Self::Composite,
         Self::Probe,
+        Self::ProbeField,
     ];
 
     /// Name of the entry point.
@@ -41,6 +44,7 @@ impl Kernel {
             Self::MarchPixels => "march_pixels",
             Self::Composite => "composite",
             Self::Probe => "probe",
+            Self::ProbeField => "probe_field",
         }
     }
 
@@ -59,6 +63,7 @@ impl Kernel {
                 include_str!("../wgsl/composite/composite.wgsl"),
             ),
             Self::Probe => ("probe/probe.wgsl", include_str!("../wgsl/probe/probe.wgsl")),
+            Self::ProbeField => ("probe/field.wgsl", include_str!("../wgsl/probe/field.wgsl")),
         }
     }
 }
@@ -189,6 +194,10 @@ const MODULES: &[(&str, &str)] = &[
         include_str!("../wgsl/cloud/density.wgsl"),
     ),
     ("march/march.wgsl", include_str!("../wgsl/march/march.wgsl")),
+    (
+        "march/accumulate.wgsl",
+        include_str!("../wgsl/march/accumulate.wgsl"),
+    ),
     (
         "sky/analytic.wgsl",
         include_str!("../wgsl/sky/analytic.wgsl"),

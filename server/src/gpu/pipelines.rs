@@ -33,6 +33,10 @@ pub struct Pipelines {
     pub picture_layout: wgpu::BindGroupLayout,
     /// Group 3 of the screen-space march: view.
     pub view_layout: wgpu::BindGroupLayout,
+    /// Group 2 of the field's probe: points and values.
+    pub points_layout: wgpu::BindGroupLayout,
+    /// Group 3 of the field's probe: what is asked.
+    pub question_layout: wgpu::BindGroupLayout,
     empty_layout: wgpu::BindGroupLayout,
     /// Stands where a kernel has no group.
     pub empty_group: wgpu::BindGroup,
@@ -180,6 +184,8 @@ impl Pipelines {
             pixels_layout: layout(gpu, "pixels", &[storage(false), storage(false)]),
             marched_layout: layout(gpu, "marched", &[storage(true)]),
             picture_layout: layout(gpu, "picture", &[uniform(), storage(false), storage(true)]),
+            points_layout: layout(gpu, "points", &[storage(true), storage(false)]),
+            question_layout: layout(gpu, "question", &[uniform()]),
             view_layout: layout(gpu, "view", &[uniform(), storage(true)]),
             empty_layout,
             empty_group,
@@ -200,6 +206,12 @@ impl Pipelines {
                 &self.field_layout,
                 &self.pixels_layout,
                 &self.view_layout,
+            ],
+            Kernel::ProbeField => [
+                &self.scene_layout,
+                &self.field_layout,
+                &self.points_layout,
+                &self.question_layout,
             ],
             Kernel::Composite | Kernel::Probe => [
                 &self.scene_layout,

@@ -2,6 +2,7 @@
 #import skycell::march::{scene, march_layer, sample_offset, sample_start_fraction, LayerRadiance}
 #import skycell::octahedral::direction_from_octahedral
 #import skycell::shell::{altitude_m, shell_roots}
+#import skycell::accumulate::accumulated
 #ifdef COUNT_READS
 #import skycell::density::texture_reads
 #endif
@@ -56,15 +57,6 @@ fn above_horizon(direction: vec3f, position: vec3f) -> vec3f {
     return normalize(vec3f(direction.x, max(direction.y, 2e-5 - dip), direction.z));
 }
 
-/// Largest value that is stored: half floats end at 65 504, and the phases of unscaled octaves can exceed that.
-const STORED_MAX: f32 = 6e4;
-
-/// Rounded to the nearest value with a half float's eleven digits. Drivers may cut digits off where they store, and a mean
-/// that is cut off with every sample becomes darker with every sample.
-fn half_rounded(value: vec4f) -> vec4f {
-    return bitcast<vec4f>((bitcast<vec4u>(value) + 0x1000u) & vec4u(0xffffe000u));
-}
-
 @compute @workgroup_size(8, 8, 1)
 fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
     let item = work[group.z];
@@ -89,15 +81,14 @@ fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
     let scratch = vec2u(0u, item.previous * TILE_STRIDE) + stored;
     let old_radiance = textureLoad(previous_radiance, scratch, 0);
     let old_distance = textureLoad(previous_distance, scratch, 0).x;
-    let new_radiance = min(vec4f(sample.single, sample.octaves, sample.ambient, sample.transmittance), vec4f(STORED_MAX));
+    let new_radiance = vec4f(sample.single, sample.octaves, sample.ambient, sample.transmittance);
     let new_distance = sample.opacity_distance_m;
-    // select, not mix with weight 1: whatever a fresh slot holds, NaN included, must not leak in.
+    let radiance = accumulated(old_radiance, new_radiance, item.weight);
     let replaces = item.weight >= 1.0;
-    let radiance = select(mix(old_radiance, new_radiance, item.weight), new_radiance, replaces);
     let distance = select(mix(old_distance, new_distance, item.weight), new_distance, replaces);
 
     let target_texel = vec2u(0u, item.slot % PAGE_TILES * TILE_STRIDE) + stored;
     let page = item.slot / PAGE_TILES;
-    textureStore(atlas_radiance, target_texel, page, half_rounded(radiance));
+    textureStore(atlas_radiance, target_texel, page, radiance);
     textureStore(atlas_distance, target_texel, page, vec4f(distance, 0.0, 0.0, 0.0));
 }
