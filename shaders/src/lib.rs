@@ -18,6 +18,8 @@ pub enum Kernel {
     MarchTexels,
     /// One ray per pixel of a viewer: the screen-space renderer.
     MarchPixels,
+    /// Texels marched once more, beside what the cache holds of them.
+    AuditTexels,
     /// One picture for one viewer.
     Composite,
     /// Physical functions evaluated at given points, for tests.
@@ -26,9 +28,10 @@ pub enum Kernel {
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 4] = [
+    pub const ALL: [Self; 5] = [
         Self::MarchTexels,
         Self::MarchPixels,
+        Self::AuditTexels,
         Self::Composite,
         Self::Probe,
     ];
@@ -39,6 +42,7 @@ impl Kernel {
         match self {
             Self::MarchTexels => "march_texels",
             Self::MarchPixels => "march_pixels",
+            Self::AuditTexels => "audit_texels",
             Self::Composite => "composite",
             Self::Probe => "probe",
         }
@@ -54,6 +58,7 @@ impl Kernel {
                 "march/pixels.wgsl",
                 include_str!("../wgsl/march/pixels.wgsl"),
             ),
+            Self::AuditTexels => ("march/audit.wgsl", include_str!("../wgsl/march/audit.wgsl")),
             Self::Composite => (
                 "composite/composite.wgsl",
                 include_str!("../wgsl/composite/composite.wgsl"),
@@ -154,6 +159,10 @@ const MODULES: &[(&str, &str)] = &[
         include_str!("../wgsl/cloud/density.wgsl"),
     ),
     ("march/march.wgsl", include_str!("../wgsl/march/march.wgsl")),
+    (
+        "march/texel_ray.wgsl",
+        include_str!("../wgsl/march/texel_ray.wgsl"),
+    ),
     (
         "sky/analytic.wgsl",
         include_str!("../wgsl/sky/analytic.wgsl"),
