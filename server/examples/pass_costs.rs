@@ -41,7 +41,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             RendererKind::Cached => "tile and sample",
             RendererKind::ScreenSpace => "picture of two samples",
         };
-        println!("{kind:?}: ms per {unit} {marches:.1?}, ms for both composites (shown and linear) {composites:.1?}");
+        println!(
+            "{kind:?}: ms per {unit} {marches:.1?}, ms for both composites (shown and linear) {composites:.1?}"
+        );
     }
     Ok(())
 }

@@ -9,6 +9,7 @@ pub mod metrics;
 pub mod scene;
 pub mod viewers;
 
+pub mod audit;
 pub mod cache;
 pub mod cells;
 pub mod composite;
