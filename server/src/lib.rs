@@ -27,3 +27,4 @@ pub mod api;
 pub mod doctor;
 pub mod render_command;
 pub mod service;
+pub mod truth;
