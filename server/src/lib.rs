@@ -9,6 +9,7 @@ pub mod metrics;
 pub mod scene;
 pub mod viewers;
 
+pub mod audit;
 pub mod cache;
 pub mod cells;
 pub mod composite;
@@ -26,3 +27,4 @@ pub mod api;
 pub mod doctor;
 pub mod render_command;
 pub mod service;
+pub mod truth;

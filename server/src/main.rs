@@ -30,7 +30,7 @@ enum Command {
     #[command(
         after_help = "Example: skycell-server render --scene sunset.json --yaw-deg 250 --pitch-deg 10 --out sunset.png"
     )]
-    Render(RenderArguments),
+    Render(Box<RenderArguments>),
     /// Say which adapters there are, whether they can render, and how to get what is missing.
     #[command(after_help = "Example: skycell-server doctor --json")]
     Doctor(DoctorArguments),

@@ -18,6 +18,8 @@ pub enum Kernel {
     MarchTexels,
     /// One ray per pixel of a viewer: the screen-space renderer.
     MarchPixels,
+    /// Texels marched once more, beside what the cache holds of them.
+    AuditTexels,
     /// One picture for one viewer.
     Composite,
     /// Physical functions evaluated at given points, for tests.
@@ -28,9 +30,10 @@ pub enum Kernel {
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::MarchTexels,
         Self::MarchPixels,
+        Self::AuditTexels,
         Self::Composite,
         Self::Probe,
         Self::ProbeField,
@@ -42,6 +45,7 @@ impl Kernel {
         match self {
             Self::MarchTexels => "march_texels",
             Self::MarchPixels => "march_pixels",
+            Self::AuditTexels => "audit_texels",
             Self::Composite => "composite",
             Self::Probe => "probe",
             Self::ProbeField => "probe_field",
@@ -58,6 +62,7 @@ impl Kernel {
                 "march/pixels.wgsl",
                 include_str!("../wgsl/march/pixels.wgsl"),
             ),
+            Self::AuditTexels => ("march/audit.wgsl", include_str!("../wgsl/march/audit.wgsl")),
             Self::Composite => (
                 "composite/composite.wgsl",
                 include_str!("../wgsl/composite/composite.wgsl"),
@@ -197,6 +202,10 @@ const MODULES: &[(&str, &str)] = &[
     (
         "march/accumulate.wgsl",
         include_str!("../wgsl/march/accumulate.wgsl"),
+    ),
+    (
+        "march/texel_ray.wgsl",
+        include_str!("../wgsl/march/texel_ray.wgsl"),
     ),
     (
         "sky/analytic.wgsl",

@@ -23,6 +23,8 @@ pub struct Pipelines {
     pub field_layout: wgpu::BindGroupLayout,
     /// Group 2 of the cache's march: work, reference, old and new texels.
     pub texels_layout: wgpu::BindGroupLayout,
+    /// Group 2 of the audit: work, reference, texels, and where they are written beside fresh ones.
+    pub audit_layout: wgpu::BindGroupLayout,
     /// Group 2 of the composite: page tables and atlas.
     pub cached_layout: wgpu::BindGroupLayout,
     /// Group 2 of the screen-space march: marched pixels, to write.
@@ -168,6 +170,17 @@ impl Pipelines {
                     storage(false),
                 ],
             ),
+            audit_layout: layout(
+                gpu,
+                "audit",
+                &[
+                    storage(true),
+                    uniform(),
+                    sampled(D2Array, true),
+                    sampled(D2Array, true),
+                    storage(false),
+                ],
+            ),
             cached_layout: layout(
                 gpu,
                 "cached",
@@ -201,6 +214,12 @@ impl Pipelines {
                 &self.scene_layout,
                 &self.field_layout,
                 &self.texels_layout,
+                &self.empty_layout,
+            ],
+            Kernel::AuditTexels => [
+                &self.scene_layout,
+                &self.field_layout,
+                &self.audit_layout,
                 &self.empty_layout,
             ],
             Kernel::MarchPixels => [
