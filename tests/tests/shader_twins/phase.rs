@@ -172,11 +172,15 @@ fn the_scenes_phase_is_its_models_for_every_droplet_and_octave() {
                 };
                 // µ over a cap: µ (1 + cos r) / 2.
                 let over_disc = x + (1.0 - x) * 0.5 * disc;
-                // Some thirty roundings. The sum over the disc is rounded to U of 1 - µ near 2, which only a backward peak
-                // feels; g times its factor is rounded too, and 1 - g with it.
+                // Some thirty roundings. g times its factor is rounded, and 1 - g with it. 1 + α µ² feels µ's rounding by
+                // 2 α µ / (1 + α µ²), which is at most the root of α.
                 let g = (g_hg.abs().max(g_draine.abs())) * eccentricity;
-                let bound = (32.0 + 6.0 / (1.0 - g) * f64::from(u8::from(eccentricity < 1.0))) * U
-                    + 16.0 * U;
+                let sharp = if eccentricity < 1.0 {
+                    6.0 / (1.0 - g)
+                } else {
+                    0.0
+                };
+                let bound = (48.0 + sharp + 2.0 * alpha.sqrt()) * U;
                 [
                     ((f64::from(value[0][0]) / twin(x) - 1.0).abs(), bound),
                     (

@@ -276,7 +276,8 @@ fn a_cloud_hides_what_is_behind_it_once() {
                 // angle's cosine is felt by 3 / base; elsewhere nothing cancels but 1 - kept, times 1 / (1 - T).
                 let base = 3e-5 + 2.0 * x;
                 let angle_error = 4.0 * U * (2.0 * x).sqrt() + 16.0 * U * U;
-                let phase_error = 64.0 * U + 3.0 * angle_error / base;
+                // g = 0.9946 itself is rounded to f32, and 1 - g with it.
+                let phase_error = (64.0 + 3.0 / (1.0 - 0.9946)) * U + 3.0 * angle_error / base;
                 let bound = (sunlit * phase_error + lit * 64.0 * U) * kept
                     + air * opacity * (sky_bound(view[c], sun[c]) + 8.0 * U / (1.0 - whole))
                     + (lit + air) * 64.0 * U
