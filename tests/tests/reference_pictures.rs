@@ -231,6 +231,8 @@ fn the_best_quality_is_within_a_hundredth_of_flip_of_the_converged_reference() {
         let march = MarchSettings {
             steps: 256,
             sun_steps: Some(32),
+            exact_interpolation: true,
+            early_exit: false,
             ..MarchSettings::default()
         };
         let gpu = gpu_picture(&mut still, &subject, size, march, 8);

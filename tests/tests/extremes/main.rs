@@ -17,12 +17,13 @@ mod shells;
 mod stage;
 mod steps;
 mod sun;
+mod truth;
 
 use line::Line;
 use stage::{Stage, stage};
 
 /// How many cases each line has.
-const CASES: [(fn(&mut Stage) -> Line, usize); 14] = [
+const CASES: [(fn(&mut Stage) -> Line, usize); 15] = [
     (sun::anywhere, 102),
     (sun::along_the_ray, 8),
     (camera::anywhere, 92),
@@ -37,6 +38,7 @@ const CASES: [(fn(&mut Stage) -> Line, usize); 14] = [
     (place::anywhere_and_anytime, 18),
     (frames::any, 12),
     (steps::accumulated, 8),
+    (truth::at_the_ends, 64),
 ];
 
 fn check(index: usize) {
@@ -73,4 +75,5 @@ lines! {
     clouds_are_the_same_from_every_cell_and_after_a_month = 11;
     frames_may_have_any_size_of_the_document = 12;
     a_mean_of_a_hundred_thousand_frames_does_not_drift = 13;
+    pictures_at_the_ends_are_the_references_to_a_thousandth = 14;
 }

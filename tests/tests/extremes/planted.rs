@@ -134,19 +134,10 @@ fn every_planted_defect_is_found() {
         "let bounded = min(sample, vec4f(STORED_MAX));",
         "let bounded = sample;"
     );
-    let without_rounding: SourceEdit = edit!(
-        "march/accumulate.wgsl",
-        "bitcast<vec4u>(value) + 0x1000u",
-        "bitcast<vec4u>(value)"
-    );
     let windows = [
         (
             "radiance stored in halves without a bound",
             steps::accumulated_with(Some(without_bound)),
-        ),
-        (
-            "halves that are cut off instead of rounded",
-            steps::accumulated_with(Some(without_rounding)),
         ),
         (
             "a window that adds and takes out, in f32",

@@ -244,7 +244,12 @@ fn sky_sun_and_ground_stand_behind_all_clouds() {
 #[test]
 fn a_cloud_hides_what_is_behind_it_once() {
     let probe = probe(20.0);
-    let (light, layer) = (probe.world.light(), &probe.world.layers()[0]);
+    let light = probe.world.light();
+    // The function's inputs as the device has them; how they come about is not its matter.
+    let given = probe.device.uniform();
+    let irradiance = given.sun.irradiance_at_clouds.map(f64::from);
+    let mean_radiance = given.sky.mean_radiance.map(f64::from);
+    let air_extinction_per_m = given.layers[0].air_extinction_per_m.map(f64::from);
     let points = eyes(12_000);
     let values = probe.ask(FieldQuestion::LayerOver, &points);
     let sun = columns(&light.clear_sky(light.sun_direction));
@@ -263,11 +268,11 @@ fn a_cloud_hides_what_is_behind_it_once() {
             let seen_m = f64::from(point[1][3]) / (1.0 - transmittance + 1e-3);
             let opacity = 1.0 - transmittance;
             [0, 1, 2].map(|c| {
-                let kept = (-seen_m * layer.air_extinction_per_m.to_array()[c]).exp();
+                let kept = (-seen_m * air_extinction_per_m[c]).exp();
                 let whole = sky.transmittance.to_array()[c];
                 let share = ((1.0 - kept) / (1.0 - whole)).min(1.0);
-                let sunlit = light.irradiance_at_clouds.to_array()[c] * (phase * single + octaves);
-                let lit = sunlit + light.mean_radiance.to_array()[c] * ambient;
+                let sunlit = irradiance[c] * (phase * single + octaves);
+                let lit = sunlit + mean_radiance[c] * ambient;
                 let air = sky.radiance.to_array()[c];
                 // Planted: opacity counted twice.
                 let lit_seen = if twice { lit * opacity } else { lit };
@@ -278,8 +283,10 @@ fn a_cloud_hides_what_is_behind_it_once() {
                 let angle_error = 4.0 * U * (2.0 * x).sqrt() + 16.0 * U * U;
                 // g = 0.9946 itself is rounded to f32, and 1 - g with it.
                 let phase_error = (64.0 + 3.0 / (1.0 - 0.9946)) * U + 3.0 * angle_error / base;
+                // The column's transmittance, as in sky_bound, is subtracted from 1; so is what the air keeps.
+                let share_error = ((4.0 + 80.0 * view[c]) * 2.0 * whole + 8.0) * U / (1.0 - whole);
                 let bound = (sunlit * phase_error + lit * 64.0 * U) * kept
-                    + air * opacity * (sky_bound(view[c], sun[c]) + 8.0 * U / (1.0 - whole))
+                    + air * opacity * (sky_bound(view[c], sun[c]) + share_error)
                     + (lit + air) * 64.0 * U
                     + behind[c] * 4.0 * U;
                 ((f64::from(value[0][c]) - exact).abs(), bound)
