@@ -22,5 +22,6 @@ pub mod stream;
 
 pub mod api;
 pub mod doctor;
+pub mod measure;
 pub mod render_command;
 pub mod service;

@@ -7,6 +7,10 @@ mod renderer;
 mod screen_space;
 mod stats;
 mod still;
+mod still_settings;
 
 pub use pacing::FrameLoop;
 pub use still::{StillPixels, StillRenderer};
+pub use still_settings::{
+    MarchSettings as StillMarchSettings, StillFigures, StillPicture, StillSettings, unsupported,
+};

@@ -104,8 +104,8 @@ pub(super) struct SkyRenderer {
     pub(super) config: RenderConfig,
     /// As configured, or as suits the adapter.
     pub(super) frame_filter: FrameFilter,
-    mip_bias: f64,
-    march_steps: u32,
+    pub(super) mip_bias: f64,
+    pub(super) march_steps: u32,
     pub(super) scene: Arc<Scene>,
     pub(super) scene_revision: u64,
     pub(super) active: Vec<ActiveLayer>,

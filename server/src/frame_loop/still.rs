@@ -13,7 +13,7 @@ const BATCH_TILES: usize = 32;
 /// Device time of a strip of the screen-space renderer between two reports, ns.
 const STRIP_NS: u64 = 400_000_000;
 /// The only viewer.
-const VIEWER: ViewerId = ViewerId(1);
+pub(super) const VIEWER: ViewerId = ViewerId(1);
 
 /// A finished picture.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,7 +26,7 @@ pub enum StillPixels {
 
 /// Renders single pictures of one scene.
 pub struct StillRenderer {
-    renderer: SkyRenderer,
+    pub(super) renderer: SkyRenderer,
 }
 
 impl StillRenderer {

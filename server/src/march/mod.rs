@@ -14,6 +14,7 @@ pub use frame::CellFrame;
 pub use pixels::{MarchedPixels, PixelStrip, pixels_key};
 pub use sky::{SkyLight, sky_light};
 pub use texels::{BATCH_TILES_MAX, TexelGroup, TexelMarch, texels_key};
+pub(crate) use uniforms::EXPOSURE_AT_ZERO_EV;
 pub use uniforms::{
     ActiveLayer, MarchSettings, active_layers, hg_draine_parameters, layer_features, scene_uniform,
     wind_drifts,

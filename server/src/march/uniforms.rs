@@ -9,7 +9,7 @@ use skycell_shaders::{Features, layout};
 
 /// Factor from radiance (per unit of the sun's spectral irradiance in W/(m² nm)) to the tone curve at 0 EV.
 /// Tuned: puts a sunlit cumulus just under the shoulder, the noon sky at middle grey (`skycell-server render`).
-const EXPOSURE_AT_ZERO_EV: f64 = 3.6;
+pub(crate) const EXPOSURE_AT_ZERO_EV: f64 = 3.6;
 
 /// How finely rays are marched.
 #[derive(Clone, Copy, Debug, PartialEq)]
