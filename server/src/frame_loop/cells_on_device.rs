@@ -1,0 +1,311 @@
+//! View cells on the device: their frames, anchors and buffers, and what their caches are told.
+
+use super::renderer::SkyRenderer;
+use super::viewers_on_device::ActiveViewer;
+use crate::cache::{ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
+use crate::composite::view_frustum;
+use crate::march::{CellBuffers, CellFrame, MarchSettings, scene_uniform};
+use glam::DVec3;
+use skycell_protocol::{Camera, CellId, RendererKind, ViewerId};
+use std::time::{Duration, Instant};
+
+/// Beyond this distance between anchor and reference the cache's texels no longer have even sizes for the viewers.
+const ANCHOR_DRIFT_MAX_M: f64 = 4_000.0;
+
+/// Under wind tiles move past the viewers; what they need is looked up this often. At 50 m/s that is 2.5 m.
+const REQUESTS_INTERVAL: Duration = Duration::from_millis(50);
+
+/// Where a layer's addresses are centred: follows the layer's wind.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Anchor {
+    at_start_m: DVec3,
+    drift_at_start_m: DVec3,
+}
+
+/// A cell with members, on the device.
+pub(super) struct ActiveCell {
+    pub(super) frame: CellFrame,
+    pub(super) reference_m: DVec3,
+    anchors: Vec<Anchor>,
+    coarse: Vec<Vec<TileRequest>>,
+    pub(super) buffers: CellBuffers,
+    /// When its caches began.
+    begun: Instant,
+    /// Requests or reference have changed since the caches were told.
+    requests_changed: bool,
+    /// When the tiles were last looked up for where the wind has carried them.
+    looked_up: Instant,
+}
+
+impl SkyRenderer {
+    pub(super) fn new_active_cell(&self, reference_m: DVec3) -> ActiveCell {
+        let anchors = self
+            .active
+            .iter()
+            .map(|layer| Anchor {
+                at_start_m: reference_m,
+                drift_at_start_m: self.drifts[layer.scene_index],
+            })
+            .collect();
+        ActiveCell {
+            frame: CellFrame::at(reference_m, self.scene.planet().radius_m()),
+            reference_m,
+            anchors,
+            coarse: Vec::new(),
+            buffers: CellBuffers::new(&self.gpu, &self.pipelines, &self.field.bind_group),
+            begun: Instant::now(),
+            requests_changed: true,
+            looked_up: Instant::now(),
+        }
+    }
+
+    pub(super) fn restart_cell(&mut self, id: CellId) {
+        self.caches.remove_cell(id);
+        if let Some(cell) = self.active_cells.get(&id) {
+            let reference_m = cell.reference_m;
+            let fresh = self.new_active_cell(reference_m);
+            self.active_cells.insert(id, fresh);
+        }
+    }
+
+    pub(super) fn touch_all_requests(&mut self) {
+        for cell in self.active_cells.values_mut() {
+            cell.requests_changed = true;
+        }
+    }
+
+    /// Puts a viewer where its camera is; cells without members end and free their memory.
+    pub(super) fn place(&mut self, viewer: ViewerId, camera: &Camera) -> CellId {
+        let id = self
+            .cells
+            .assign(viewer, DVec3::from_array(camera.position_m()));
+        let reference_m = self
+            .cells
+            .get(id)
+            .map_or(DVec3::ZERO, |cell| cell.reference_m);
+        match self.active_cells.get_mut(&id) {
+            Some(cell) if cell.reference_m != reference_m => {
+                cell.reference_m = reference_m;
+                cell.coarse.clear();
+                cell.requests_changed = true;
+            }
+            Some(_) => {}
+            None => {
+                let cell = self.new_active_cell(reference_m);
+                self.active_cells.insert(id, cell);
+            }
+        }
+        self.end_empty_cells();
+        id
+    }
+
+    pub(super) fn end_empty_cells(&mut self) {
+        let ended: Vec<CellId> = self
+            .active_cells
+            .keys()
+            .filter(|id| {
+                self.cells
+                    .get(**id)
+                    .is_none_or(|cell| cell.members.is_empty())
+            })
+            .copied()
+            .collect();
+        for id in ended {
+            self.active_cells.remove(&id);
+            self.caches.remove_cell(id);
+        }
+        self.atlas.fit(&self.gpu, self.caches.slots_needed());
+    }
+
+    pub(super) fn change_requests(&mut self, cell: CellId) {
+        if let Some(cell) = self.active_cells.get_mut(&cell) {
+            cell.requests_changed = true;
+        }
+    }
+
+    pub(super) fn anchor_m(&self, cell: &ActiveCell, layer: usize) -> DVec3 {
+        let anchor = cell.anchors[layer];
+        let drift = self.drifts[self.active[layer].scene_index] - anchor.drift_at_start_m;
+        cell.frame.from_world(anchor.at_start_m + drift)
+    }
+
+    /// Reference point of a sphere in the frame that drifts with its layer.
+    pub(super) fn drifting_reference(&self, sphere: SphereId) -> Option<DVec3> {
+        let cell = self.active_cells.get(&sphere.cell)?;
+        let layer = self.active.get(sphere.layer as usize)?;
+        Some(cell.reference_m - self.drifts[layer.scene_index])
+    }
+
+    /// Brings everything that the caches and the device know of cells up to the present: anchors that have drifted,
+    /// requests of viewers that have turned, new page tables.
+    pub(super) fn refresh_cells(&mut self) {
+        let ids: Vec<CellId> = self.active_cells.keys().copied().collect();
+        let windy = self.wind_speed_max_m_per_s() > 0.0;
+        for id in ids {
+            let drifted_away = self.active_cells.get(&id).is_some_and(|cell| {
+                (0..self.active.len()).any(|layer| {
+                    let anchor = self.anchor_m(cell, layer);
+                    let reference = cell.frame.from_world(cell.reference_m);
+                    (anchor - reference).with_y(0.0).length() > ANCHOR_DRIFT_MAX_M
+                })
+            });
+            if drifted_away {
+                self.restart_cell(id);
+            }
+            let Some(mut cell) = self.active_cells.remove(&id) else {
+                continue;
+            };
+            self.refresh_cell(id, &mut cell, windy);
+            self.active_cells.insert(id, cell);
+        }
+    }
+
+    pub(super) fn refresh_cell(&mut self, id: CellId, cell: &mut ActiveCell, windy: bool) {
+        let anchors: Vec<DVec3> = (0..self.active.len())
+            .map(|layer| self.anchor_m(cell, layer))
+            .collect();
+        let uniform = scene_uniform(
+            &self.scene,
+            &self.active,
+            &self.light,
+            MarchSettings {
+                steps: self.march_steps,
+            },
+            &cell.frame,
+            &self.drifts,
+            &anchors,
+        );
+        cell.buffers.set_scene(&self.gpu, &uniform);
+        let drifted = windy && cell.looked_up.elapsed() >= REQUESTS_INTERVAL;
+        if cell.requests_changed || drifted {
+            cell.looked_up = Instant::now();
+            let eye = cell.frame.from_world(cell.reference_m);
+            cell.buffers.set_reference(&self.gpu, eye);
+            let spheres: Vec<ProxySphere> = self
+                .active
+                .iter()
+                .zip(&anchors)
+                .map(|(layer, anchor)| ProxySphere {
+                    frame: cell.frame,
+                    anchor: *anchor,
+                    altitude_m: layer.proxy_altitude_m,
+                })
+                .collect();
+            if drifted || cell.coarse.len() != spheres.len() {
+                cell.coarse = spheres.iter().map(|s| coarse_tiles(s, eye)).collect();
+            }
+            for viewer in self.viewers.values_mut().filter(|v| v.cell == id) {
+                if viewer.kind == RendererKind::ScreenSpace {
+                    continue;
+                }
+                if drifted || viewer.requests.len() != spheres.len() {
+                    let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
+                    viewer.requests = spheres
+                        .iter()
+                        .map(|s| requested_tiles(&frustum, s, self.mip_bias))
+                        .collect();
+                }
+            }
+            let cached_viewers = || {
+                self.viewers
+                    .values()
+                    .filter(move |v| v.cell == id && v.kind == RendererKind::Cached)
+            };
+            // Nobody who reads the cache: nobody who needs its coarse level.
+            let used = cached_viewers().next().is_some();
+            for (layer, coarse) in cell.coarse.iter().enumerate() {
+                let requests = cached_viewers()
+                    .filter_map(|v| v.requests.get(layer))
+                    .flatten();
+                let sphere = self.caches.sphere_mut(SphereId {
+                    cell: id,
+                    layer: layer as u32,
+                });
+                sphere.set_wanted(if used { coarse } else { &[] }, requests);
+            }
+            cell.requests_changed = false;
+        }
+        let changed = (0..self.active.len() as u32).any(|layer| {
+            self.caches
+                .sphere_mut(SphereId { cell: id, layer })
+                .take_tables_changed()
+        });
+        if changed {
+            let tables: Vec<_> = (0..self.active.len() as u32)
+                .map(|layer| {
+                    self.caches
+                        .sphere_mut(SphereId { cell: id, layer })
+                        .page_tables()
+                })
+                .collect();
+            cell.buffers.set_tables(&self.gpu, &tables);
+        }
+    }
+
+    /// How long a viewer's cell has had its caches.
+    pub(super) fn cell_age(&self, viewer: &ActiveViewer) -> Duration {
+        self.active_cells
+            .get(&viewer.cell)
+            .map_or(Duration::ZERO, |cell| cell.begun.elapsed())
+    }
+
+    /// Whether the coarse level of a viewer's cell shows the present sky.
+    pub(super) fn coarse_is_ready(&self, viewer: &ActiveViewer) -> bool {
+        self.active_cells.get(&viewer.cell).is_some_and(|cell| {
+            cell.coarse.len() == self.active.len()
+                && cell.coarse.iter().enumerate().all(|(layer, tiles)| {
+                    let id = SphereId {
+                        cell: viewer.cell,
+                        layer: layer as u32,
+                    };
+                    self.caches
+                        .sphere(id)
+                        .is_some_and(|s| tiles.iter().all(|t| s.shows_present(&t.key)))
+                })
+        })
+    }
+
+    /// Whether some tile that a viewer asks for does not show the present sky yet.
+    pub(super) fn is_coarse(&self, viewer: &ActiveViewer) -> bool {
+        viewer.requests.iter().enumerate().any(|(layer, tiles)| {
+            let id = SphereId {
+                cell: viewer.cell,
+                layer: layer as u32,
+            };
+            self.caches
+                .sphere(id)
+                .is_none_or(|s| tiles.iter().any(|t| !s.shows_present(&t.key)))
+        })
+    }
+
+    /// Share of the wanted samples that the caches hold.
+    pub(super) fn share_done(&self) -> f64 {
+        let samples = self.caches.samples();
+        let (mut wanted, mut pending) = (0, 0);
+        for id in self.active_cells.keys() {
+            for (_, sphere) in self.caches.spheres_of(*id) {
+                let (_, unique) = sphere.requested_and_unique();
+                wanted += unique * u64::from(samples) + sphere.coarse_only();
+                pending += sphere.pending_samples(samples);
+            }
+        }
+        1.0 - pending as f64 / (wanted as f64).max(1.0)
+    }
+
+    pub(super) fn cache_bytes(&self) -> u64 {
+        if self.caches.resident() == 0 {
+            0
+        } else {
+            self.atlas.bytes()
+        }
+    }
+
+    /// How far a cell's first anchor has drifted, and its reference.
+    pub(super) fn cell_drift(&self, id: CellId) -> Option<(DVec3, DVec3)> {
+        let cell = self.active_cells.get(&id)?;
+        let drift = cell.anchors.first().map_or(DVec3::ZERO, |anchor| {
+            self.drifts[self.active[0].scene_index] - anchor.drift_at_start_m
+        });
+        Some((drift, cell.reference_m))
+    }
+}

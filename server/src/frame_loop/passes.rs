@@ -1,0 +1,288 @@
+//! What is submitted to the device: batches of texels, strips of pixels, frames and their way back.
+
+use super::interface::{FinishedFrame, FrameSink};
+use super::renderer::SkyRenderer;
+use super::viewers_on_device::ActiveViewer;
+use crate::cache::{SphereId, TileUpdate};
+use crate::clock::unix_now_us;
+use crate::composite::{CompositeInputs, Picture, composite_key};
+use crate::gpu::{GpuError, PipelineKey, TimedPass};
+use crate::march::{BATCH_TILES_MAX, MarchedPixels, PixelStrip, TexelGroup, layer_features};
+use glam::DVec3;
+use skycell_protocol::{CellId, FrameSequence, RendererKind, ViewerId};
+use skycell_shaders::{Features, layout};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+impl SkyRenderer {
+    /// Marches at most `tiles_max` tiles and returns what was marched. The tiles are shown from the next refresh on.
+    pub(super) fn march(&mut self, tiles_max: usize) -> Vec<TileUpdate> {
+        let references: BTreeMap<SphereId, DVec3> = self
+            .active_cells
+            .keys()
+            .flat_map(|cell| {
+                (0..self.active.len() as u32).map(|layer| SphereId { cell: *cell, layer })
+            })
+            .filter_map(|sphere| Some((sphere, self.drifting_reference(sphere)?)))
+            .collect();
+        let updates = self.caches.plan(tiles_max.min(BATCH_TILES_MAX), |sphere| {
+            references.get(&sphere).copied()
+        });
+        if updates.is_empty() {
+            return updates;
+        }
+        self.atlas.fit(&self.gpu, self.caches.slots_needed());
+        let mut by_sphere: BTreeMap<SphereId, Vec<TileUpdate>> = BTreeMap::new();
+        for update in &updates {
+            by_sphere.entry(update.sphere).or_default().push(*update);
+        }
+        let groups: Vec<TexelGroup<'_>> = by_sphere
+            .into_iter()
+            .filter_map(|(sphere, updates)| {
+                let scene_index = self.active.get(sphere.layer as usize)?.scene_index;
+                Some(TexelGroup {
+                    cell: &self.active_cells.get(&sphere.cell)?.buffers,
+                    features: layer_features(&self.scene, scene_index),
+                    layer: sphere.layer,
+                    updates,
+                })
+            })
+            .collect();
+        self.timing.begin();
+        let mut encoder = self
+            .gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
+                label: Some("march texels"),
+            });
+        self.counters.dispatches += self.texel_march.record(
+            &self.gpu,
+            &mut encoder,
+            &mut self.timing,
+            &self.pipelines,
+            &self.atlas,
+            &groups,
+        );
+        self.timing.resolve(&mut encoder);
+        self.submit(encoder);
+        self.timing.submitted();
+        self.counters.tiles_updated += updates.len() as u64;
+        updates
+    }
+
+    pub(super) fn submit(&mut self, encoder: wgpu::CommandEncoder) {
+        self.counters.submissions += 1;
+        self.gpu.queue.submit([encoder.finish()]);
+        self.watch_submission();
+    }
+
+    /// Counts what was just submitted as under way until the device is done with it.
+    pub(super) fn watch_submission(&self) {
+        self.in_flight.fetch_add(1, Ordering::AcqRel);
+        let in_flight = self.in_flight.clone();
+        self.gpu.queue.on_submitted_work_done(move || {
+            in_flight.fetch_sub(1, Ordering::AcqRel);
+        });
+    }
+
+    /// Submissions that the device has not finished.
+    pub(super) fn in_flight(&self) -> u32 {
+        self.in_flight.load(Ordering::Acquire)
+    }
+
+    /// Submits rows of a viewer's marched pixels; false when its cell is gone.
+    pub(super) fn submit_pixels(
+        &mut self,
+        cell: CellId,
+        marched: &MarchedPixels,
+        features: Features,
+        view: &layout::View,
+        rows: u32,
+    ) -> bool {
+        let Some(cell) = self.active_cells.get(&cell) else {
+            return false;
+        };
+        marched.submit_strip(
+            &self.gpu,
+            &mut self.timing,
+            &self.pipelines,
+            &PixelStrip {
+                cell: &cell.buffers,
+                features,
+                view,
+                rows,
+            },
+        );
+        true
+    }
+
+    /// Composites a frame for each of the viewers that has a buffer free, in one submission, and has it read back into
+    /// the sink. Returns whose frames are under way.
+    pub(super) fn composite(
+        &mut self,
+        ids: &[ViewerId],
+        sink: &Arc<dyn FrameSink>,
+    ) -> Vec<ViewerId> {
+        self.timing.begin();
+        let mut encoder = self
+            .gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
+                label: Some("composite"),
+            });
+        let mut under_way = Vec::new();
+        for id in ids {
+            let Some(mut viewer) = self.viewers.remove(id) else {
+                continue;
+            };
+            if let Some(buffer) = viewer.ring.take(&self.gpu)
+                && self.record_frame(&mut encoder, &viewer, &buffer).is_some()
+            {
+                under_way.push((*id, buffer));
+            }
+            self.viewers.insert(*id, viewer);
+        }
+        if under_way.is_empty() {
+            return Vec::new();
+        }
+        self.timing.resolve(&mut encoder);
+        self.submit(encoder);
+        self.timing.submitted();
+        let submitted_unix_us = unix_now_us();
+        let mut shown_cells = Vec::new();
+        let mut done = Vec::new();
+        for (id, buffer) in under_way {
+            let coarse = self.viewers.get(&id).is_some_and(|v| self.is_coarse(v));
+            let Some(viewer) = self.viewers.get_mut(&id) else {
+                continue;
+            };
+            viewer.sequence = viewer.sequence.wrapping_add(1);
+            viewer.frames_composited += 1;
+            self.counters.frames_composited += 1;
+            let (view, input, cell) = (viewer.view, viewer.input, viewer.cell);
+            let (sequence, scene_revision) = (FrameSequence(viewer.sequence), self.scene_revision);
+            let (sink, read_back) = (sink.clone(), self.counters.frames_read_back.clone());
+            viewer.ring.map(buffer, move |pixels| {
+                // A lost device is reported where it is polled.
+                let Some(pixels) = pixels else { return };
+                read_back.fetch_add(1, Ordering::Relaxed);
+                sink.deliver(FinishedFrame {
+                    viewer: id,
+                    sequence,
+                    input,
+                    scene_revision,
+                    cell,
+                    size: view.size,
+                    codec: view.codec,
+                    jpeg_quality: view.jpeg_quality,
+                    coarse,
+                    submitted_unix_us,
+                    read_back: Instant::now(),
+                    pixels: Box::new(pixels),
+                });
+            });
+            if !shown_cells.contains(&cell) {
+                shown_cells.push(cell);
+            }
+            done.push(id);
+        }
+        for cell in shown_cells {
+            self.caches.frame_shown(cell);
+        }
+        done
+    }
+
+    fn record_frame(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        viewer: &ActiveViewer,
+        target: &wgpu::Buffer,
+    ) -> Option<()> {
+        let view = self.view_of(viewer)?;
+        let cell = self.active_cells.get_mut(&viewer.cell)?;
+        let screen_space = viewer.kind == RendererKind::ScreenSpace;
+        let (layers, view) = match (screen_space, &viewer.screen_space) {
+            (true, Some(job)) => (job.marched().read_group().clone(), job.view()),
+            (true, None) => return None,
+            (false, _) => (
+                cell.buffers
+                    .cached_group(&self.gpu, &self.pipelines, &self.atlas)
+                    .clone(),
+                view,
+            ),
+        };
+        viewer.picture.record(
+            &self.gpu,
+            encoder,
+            &mut self.timing,
+            &self.pipelines,
+            &CompositeInputs {
+                key: composite_key(self.frame_filter, self.active.len(), screen_space, false),
+                scene: &cell.buffers.scene_group,
+                layers: &layers,
+                view: &view,
+                planet_radius_m: self.scene.planet().radius_m(),
+            },
+        );
+        self.counters.dispatches += 1;
+        encoder.copy_buffer_to_buffer(viewer.picture.pixels(), 0, target, 0, target.size());
+        Some(())
+    }
+
+    /// Composites one viewer's view into a picture of its own.
+    pub(super) fn composite_still(
+        &mut self,
+        id: ViewerId,
+        picture: &Picture,
+        key: PipelineKey,
+    ) -> Result<(), GpuError> {
+        let gone = || GpuError::Device("the viewer of the picture is gone".into());
+        let viewer = self.viewers.get(&id).ok_or_else(gone)?;
+        let view = self.view_of(viewer).ok_or_else(gone)?;
+        let cell = self.active_cells.get_mut(&viewer.cell).ok_or_else(gone)?;
+        let (layers, view) = match &viewer.screen_space {
+            Some(job) => (job.marched().read_group().clone(), job.view()),
+            None => (
+                cell.buffers
+                    .cached_group(&self.gpu, &self.pipelines, &self.atlas)
+                    .clone(),
+                view,
+            ),
+        };
+        self.timing.begin();
+        let mut encoder = self
+            .gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
+                label: Some("still"),
+            });
+        picture.record(
+            &self.gpu,
+            &mut encoder,
+            &mut self.timing,
+            &self.pipelines,
+            &CompositeInputs {
+                key,
+                scene: &cell.buffers.scene_group,
+                layers: &layers,
+                view: &view,
+                planet_radius_m: self.scene.planet().radius_m(),
+            },
+        );
+        self.timing.resolve(&mut encoder);
+        self.submit(encoder);
+        self.timing.submitted();
+        Ok(())
+    }
+
+    /// GPU time and units of a kind of pass.
+    pub(super) fn gpu_time(&self, pass: TimedPass) -> (u64, u64) {
+        self.timing.total(pass)
+    }
+
+    pub(super) fn frames_read_back(&self) -> u64 {
+        self.counters.frames_read_back.load(Ordering::Relaxed)
+    }
+}

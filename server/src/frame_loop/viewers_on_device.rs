@@ -1,0 +1,147 @@
+//! Viewers on the device: who joins, moves, changes its wishes and leaves.
+
+use super::interface::ViewRequest;
+use super::renderer::SkyRenderer;
+use super::screen_space::ScreenSpaceJob;
+use crate::cache::{TEXELS_PER_TILE, TileRequest};
+use crate::composite::{Picture, view_frustum, view_uniform};
+use crate::gpu::ReadbackRing;
+use skycell_protocol::{Camera, CellId, InputSequence, RendererKind, ViewerId};
+use skycell_shaders::layout;
+
+/// Pictures of a viewer that may be on their way back from the device or wait to be encoded.
+const READBACKS_PER_VIEWER: usize = 3;
+
+/// A viewer on the device.
+pub(super) struct ActiveViewer {
+    pub(super) view: ViewRequest,
+    pub(super) input: InputSequence,
+    pub(super) cell: CellId,
+    /// Which renderer makes its frames: the one that it asks for, or rays of its own where the cache does not reach.
+    pub(super) kind: RendererKind,
+    pub(super) requests: Vec<Vec<TileRequest>>,
+    pub(super) picture: Picture,
+    pub(super) ring: ReadbackRing,
+    pub(super) screen_space: Option<ScreenSpaceJob>,
+    pub(super) sequence: u32,
+    pub(super) acknowledged: u32,
+    pub(super) frames_composited: u64,
+}
+
+impl ActiveViewer {
+    /// Texels that the viewer requests.
+    pub(super) fn texels_requested(&self) -> u64 {
+        self.requests.iter().map(|r| r.len() as u64).sum::<u64>() * TEXELS_PER_TILE
+    }
+
+    /// Frames composited and not acknowledged.
+    pub(super) fn frames_in_flight(&self) -> u32 {
+        self.sequence.wrapping_sub(self.acknowledged)
+    }
+}
+
+impl SkyRenderer {
+    pub(super) fn join(&mut self, id: ViewerId, view: ViewRequest) {
+        let cell = self.place(id, &view.camera);
+        let bytes = u64::from(view.size.pixels()) * 4;
+        let viewer = ActiveViewer {
+            kind: self.kind_of(&view),
+            view,
+            input: InputSequence(0),
+            cell,
+            requests: Vec::new(),
+            picture: Picture::new(&self.gpu, &self.pipelines, view.size, false),
+            ring: ReadbackRing::new(bytes, READBACKS_PER_VIEWER),
+            screen_space: None,
+            sequence: 0,
+            acknowledged: 0,
+            frames_composited: 0,
+        };
+        self.viewers.insert(id, viewer);
+        self.change_requests(cell);
+    }
+
+    /// The renderer for a view. Proxy spheres are marched and blended from below: a viewer in or above a layer gets rays
+    /// of its own.
+    pub(super) fn kind_of(&self, view: &ViewRequest) -> RendererKind {
+        let altitude_m = view.camera.position_m()[1];
+        let below_all = self
+            .active
+            .iter()
+            .all(|layer| altitude_m < self.scene.layers()[layer.scene_index].base_altitude_m());
+        if below_all {
+            view.renderer
+        } else {
+            RendererKind::ScreenSpace
+        }
+    }
+
+    pub(super) fn choose_renderer(&mut self, id: ViewerId, view: &ViewRequest) {
+        let kind = self.kind_of(view);
+        if let Some(viewer) = self.viewers.get_mut(&id)
+            && viewer.kind != kind
+        {
+            viewer.kind = kind;
+            viewer.screen_space = None;
+            viewer.requests.clear();
+        }
+    }
+
+    pub(super) fn set_camera(&mut self, id: ViewerId, input: InputSequence, camera: Camera) {
+        let Some(viewer) = self.viewers.get_mut(&id) else {
+            return;
+        };
+        let moved = viewer.view.camera.position_m() != camera.position_m();
+        viewer.view.camera = camera;
+        viewer.input = input;
+        viewer.requests.clear();
+        let (mut cell, view) = (viewer.cell, viewer.view);
+        self.choose_renderer(id, &view);
+        if moved {
+            let old = cell;
+            cell = self.place(id, &camera);
+            if let Some(viewer) = self.viewers.get_mut(&id) {
+                viewer.cell = cell;
+            }
+            self.change_requests(old);
+        }
+        self.change_requests(cell);
+    }
+
+    pub(super) fn set_view(&mut self, id: ViewerId, view: ViewRequest) {
+        let Some(viewer) = self.viewers.get_mut(&id) else {
+            return;
+        };
+        if viewer.view.size != view.size {
+            let bytes = u64::from(view.size.pixels()) * 4;
+            viewer.picture = Picture::new(&self.gpu, &self.pipelines, view.size, false);
+            viewer.ring = ReadbackRing::new(bytes, READBACKS_PER_VIEWER);
+        }
+        viewer.screen_space = None;
+        let input = viewer.input;
+        viewer.view = view;
+        self.set_camera(id, input, view.camera);
+    }
+
+    pub(super) fn leave(&mut self, id: ViewerId) {
+        self.viewers.remove(&id);
+        let cell = self.cells.cell_of(id);
+        self.cells.remove(id);
+        if let Some(cell) = cell {
+            self.change_requests(cell);
+        }
+        self.end_empty_cells();
+    }
+
+    /// The view of a viewer as the shaders read it, with the tables of its cell.
+    pub(super) fn view_of(&self, viewer: &ActiveViewer) -> Option<layout::View> {
+        let cell = self.active_cells.get(&viewer.cell)?;
+        let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
+        let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
+        for (layer, requests) in viewer.requests.iter().enumerate().take(view.tables.len()) {
+            let finest = requests.iter().map(|r| r.key.level).max().unwrap_or(0);
+            view.tables[layer] = cell.buffers.table(layer, finest);
+        }
+        Some(view)
+    }
+}
