@@ -9,6 +9,7 @@ use std::process::ExitCode;
 use clap::{Args, Parser, Subcommand};
 use skycell_server::config::{Config, Flags};
 use skycell_server::doctor::{self, DoctorArguments};
+use skycell_server::measure::{self, MeasureArguments};
 use skycell_server::render_command::{self, RenderArguments};
 
 /// Renders a shared sky and streams it to its viewers.
@@ -31,6 +32,8 @@ enum Command {
         after_help = "Example: skycell-server render --scene sunset.json --yaw-deg 250 --pitch-deg 10 --out sunset.png"
     )]
     Render(RenderArguments),
+    /// Measure what each setting costs in time and in error.
+    Measure(MeasureArguments),
     /// Say which adapters there are, whether they can render, and how to get what is missing.
     #[command(after_help = "Example: skycell-server doctor --json")]
     Doctor(DoctorArguments),
@@ -53,6 +56,7 @@ fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Serve(args) => serve(args),
         Command::Render(arguments) => render_command::run(&arguments),
+        Command::Measure(arguments) => measure::run(&arguments),
         Command::Doctor(arguments) => doctor::run(&arguments),
     };
     match result {

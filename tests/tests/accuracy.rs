@@ -12,13 +12,7 @@ const SSIM_MIN: f64 = 0.998;
 /// The cache with each mip bias against the screen-space renderer, 1280x720, 8 samples.
 fn compare(mip_biases: &[f32]) -> anyhow::Result<Vec<Distance>> {
     let size = FrameSize::new(1280, 720)?;
-    let screen = Recipe {
-        renderer: RendererKind::ScreenSpace,
-        samples: 8,
-        mip_bias: 0.0,
-        march_steps: 128,
-        filter: FrameFilter::CatmullRom,
-    };
+    let screen = Recipe::screen_space();
     let (reference, _) = picture(screen, size)?;
     mip_biases
         .iter()

@@ -13,7 +13,7 @@ mod still_settings;
 mod viewers_on_device;
 
 pub use pacing::FrameLoop;
-pub use still::{StillPixels, StillRenderer};
+pub use still::StillRenderer;
 pub use still_settings::{
-    MarchSettings as StillMarchSettings, StillFigures, StillPicture, StillSettings, unsupported,
+    LayerFigures, RayFigures, RayPicture, StillFigures, StillPicture, StillRay, StillSettings,
 };

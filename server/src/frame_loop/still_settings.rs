@@ -1,221 +1,119 @@
-//! How a single picture is made, and what it cost.
+//! What a single picture or a list of rays is asked for with, and what comes back.
 
-use super::still::{StillPixels, StillRenderer};
-use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
-use crate::cells::Cells;
-use crate::config::{FrameFilter, PlacedCell};
-use crate::gpu::GpuError;
+use crate::config::FrameFilter;
+use crate::march::MarchSettings;
 use glam::DVec3;
-use image::imageops::FilterType;
-use skycell_protocol::{Camera, FrameSize, RendererKind, Scene};
-use std::sync::Arc;
-use std::time::Instant;
+use serde::{Deserialize, Serialize};
+use skycell_protocol::{FrameSize, RendererKind};
 
-/// How rays are marched.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MarchSettings {
-    /// Steps through the thickness of a layer at close range.
-    pub steps: u32,
-    /// Steps towards the sun; the scene's without.
-    pub sun_steps: Option<u32>,
-    /// Terms of the multiple-scattering sum; the scene's without.
-    pub octaves: Option<u32>,
-    /// Rays end where nothing behind can be seen.
-    pub early_exit: bool,
-    /// Space that holds no cloud is crossed without reading it.
-    pub low_density_skip: bool,
-    /// Steps grow with distance.
-    pub adaptive_step: bool,
-    /// Noise is interpolated in full precision.
-    pub exact_interpolation: bool,
-    /// Count texture reads, which costs time.
-    pub count_reads: bool,
-}
-
-/// How a picture is made.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// How a single picture is made.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct StillSettings {
     /// Which renderer.
     pub renderer: RendererKind,
     /// How rays are marched.
     pub march: MarchSettings,
-    /// Samples of a texel or pixel.
+    /// Samples of a texel or pixel, 1 to 16.
     pub samples: u32,
-    /// Width and height of the marched picture are the shown one's divided by this: 1, 2 or 4. Screen-space only.
+    /// 1, 2 or 4: the screen-space renderer marches this many times fewer columns and rows.
     pub resolution_divisor: u32,
-    /// Halvings of the cache's resolution below the screen's.
+    /// Halvings of the cache's resolution below the screen's, 0 to 4.
     pub mip_bias: f32,
     /// How the cache is read.
     pub filter: FrameFilter,
-    /// Reference point minus eye, m. Cached only.
+    /// Reference point of the cache, seen from the eye: x, altitude, z.
     pub reference_offset_m: [f64; 3],
 }
 
-/// A picture with what it cost.
+impl Default for StillSettings {
+    fn default() -> Self {
+        Self {
+            renderer: RendererKind::Cached,
+            march: MarchSettings::default(),
+            samples: 8,
+            resolution_divisor: 1,
+            mip_bias: 0.0,
+            filter: FrameFilter::CatmullRom,
+            reference_offset_m: [0.0; 3],
+        }
+    }
+}
+
+/// A finished picture, as it is shown and as it is measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StillPicture {
-    /// Width and height.
+    /// Its size.
     pub size: FrameSize,
-    /// Tone-mapped sRGB, RGBA.
+    /// Tone-mapped sRGB, 4 bytes a pixel.
     pub display: Vec<u8>,
-    /// Linear radiance per W/(m² nm) of the sun's spectrum, RGBA.
+    /// Linear radiance in W/(m² nm sr), red, green, blue and 1 for each pixel.
     pub linear: Vec<f32>,
-    /// What it cost.
+    /// What it took.
     pub figures: StillFigures,
 }
 
-/// What a picture cost.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// What a picture took.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StillFigures {
-    /// Rays.
+    /// Rays marched: samples of texels or pixels.
     pub marches: u64,
-    /// Texture reads, if they were counted.
+    /// Texture reads of the march, where they were counted.
     pub texture_reads: Option<u64>,
-    /// Time by the device's timestamps, if it has any.
+    /// Time of the device for marching and compositing, where it can tell.
     pub gpu_ns: Option<u64>,
-    /// Time by the clock.
+    /// Time that passed.
     pub wall_s: f64,
 }
 
-/// Why a picture cannot be made with these settings by this build; none when it can.
-#[must_use]
-pub fn unsupported(settings: &StillSettings) -> Option<&'static str> {
-    let march = settings.march;
-    [
-        (!march.early_exit, "rays always end early"),
-        (!march.low_density_skip, "empty space is always skipped"),
-        (!march.adaptive_step, "steps always grow with distance"),
-        (
-            march.exact_interpolation,
-            "noise is interpolated by the device",
-        ),
-        (march.count_reads, "texture reads are not counted"),
-        (
-            settings.resolution_divisor > 1 && settings.renderer == RendererKind::Cached,
-            "the cache has a mip bias instead",
-        ),
-    ]
-    .into_iter()
-    .find_map(|(asked, reason)| asked.then_some(reason))
+/// A ray in the frame of its list: origin on the ground under the first ray's start, y up there, x east, z south.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StillRay {
+    /// Where it starts, m.
+    pub origin_m: DVec3,
+    /// Unit vector.
+    pub direction: DVec3,
 }
 
-impl StillRenderer {
-    /// Renders a picture with its own settings; `progress` gets the share that is done.
-    ///
-    /// # Errors
-    /// When the settings are not supported, the device is lost or the picture does not fit on it.
-    pub fn render_with(
-        &mut self,
-        camera: Camera,
-        size: FrameSize,
-        settings: &StillSettings,
-        mut progress: impl FnMut(f64),
-    ) -> Result<StillPicture, GpuError> {
-        if let Some(reason) = unsupported(settings) {
-            return Err(GpuError::Device(format!(
-                "this build cannot render that: {reason}"
-            )));
-        }
-        let own_scene = self.renderer.scene.clone();
-        let scene = scene_with(&own_scene, settings.march)?;
-        if scene != *own_scene {
-            self.set_scene(Arc::new(scene))?;
-        }
-        let picture = self.render_settled(camera, size, settings, &mut progress);
-        if self.renderer.scene != own_scene {
-            self.set_scene(own_scene)?;
-        }
-        picture
-    }
-
-    fn render_settled(
-        &mut self,
-        camera: Camera,
-        size: FrameSize,
-        settings: &StillSettings,
-        progress: &mut impl FnMut(f64),
-    ) -> Result<StillPicture, GpuError> {
-        let divisor = settings.resolution_divisor.max(1);
-        let marched = FrameSize::new(
-            size.width().div_ceil(divisor),
-            size.height().div_ceil(divisor),
-        )
-        .map_err(|error| GpuError::Device(error.to_string()))?;
-        let renderer = &mut self.renderer;
-        renderer.leave(super::still::VIEWER);
-        renderer.config.samples = settings.samples;
-        renderer.march_steps = settings.march.steps;
-        renderer.mip_bias = f64::from(settings.mip_bias);
-        renderer.frame_filter = settings.filter;
-        let tiles_max = (u64::from(renderer.config.cache_memory_mib) << 20)
-            / (TEXELS_PER_TILE * BYTES_PER_TEXEL);
-        renderer.caches = Caches::new(
-            tiles_max.clamp(32, u64::from(crate::march::Atlas::tiles_max(&renderer.gpu))) as u32,
-            settings.samples,
-        );
-        let eye = DVec3::from_array(camera.position_m());
-        renderer.cells = Cells::new(&[PlacedCell {
-            name: "still".into(),
-            center_m: (eye + DVec3::from_array(settings.reference_offset_m)).to_array(),
-            radius_m: 1.0e6,
-        }]);
-        let before = (self.totals(), self.gpu_times_ns());
-        let start = Instant::now();
-        let display = self.render(camera, marched, settings.renderer, false, |share| {
-            progress(0.5 * share)
-        })?;
-        let wall_s = start.elapsed().as_secs_f64();
-        let after = (self.totals(), self.gpu_times_ns());
-        let linear = self.render(camera, marched, settings.renderer, true, |share| {
-            progress(0.5 + 0.5 * share)
-        })?;
-        let gpu_ns: u64 = (0..3).map(|pass| after.1[pass] - before.1[pass]).sum();
-        let (StillPixels::Display(display), StillPixels::Linear(linear)) = (display, linear) else {
-            return Err(GpuError::Device(
-                "a picture came in the other format".into(),
-            ));
-        };
-        Ok(StillPicture {
-            size,
-            display: enlarged_bytes(display, marched, size),
-            linear: enlarged_floats(linear, marched, size),
-            figures: StillFigures {
-                marches: after.0.texels_updated - before.0.texels_updated
-                    + after.0.screen_space_marches
-                    - before.0.screen_space_marches,
-                texture_reads: None,
-                gpu_ns: (gpu_ns > 0).then_some(gpu_ns),
-                wall_s,
-            },
-        })
-    }
+/// Rays that are marched as the pixels of a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RayPicture {
+    /// World place (x, altitude, z) whose ground point is the frame's origin; the altitude does not matter.
+    pub frame_m: DVec3,
+    /// Width times height rays, row by row.
+    pub rays: Vec<StillRay>,
+    /// Size of the picture that they are.
+    pub size: FrameSize,
+    /// What samples move a ray's start by across a pixel and down a pixel, m.
+    pub pixel_m: [DVec3; 2],
 }
 
-fn scene_with(scene: &Scene, march: MarchSettings) -> Result<Scene, GpuError> {
-    let mut document = scene.to_document();
-    document.light.sun_steps = march.sun_steps.unwrap_or(document.light.sun_steps);
-    document.light.octaves = march.octaves.unwrap_or(document.light.octaves);
-    Scene::try_from(document).map_err(|error| GpuError::Device(error.to_string()))
+/// What the device found along a ray in one layer.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LayerFigures {
+    /// Single scattering without its phase.
+    pub single: f32,
+    /// Octaves from the second on, 1/sr.
+    pub octaves: f32,
+    /// Ambient light as a share of the sky's mean radiance.
+    pub ambient: f32,
+    /// Transmittance.
+    pub transmittance: f32,
+    /// Distance of what is seen times its opacity, m.
+    pub opacity_distance_m: f32,
+    /// Steps that were lit or only looked at.
+    pub steps: f32,
+    /// Optical depth.
+    pub optical_depth: f32,
 }
 
-fn enlarged_bytes(bytes: Vec<u8>, from: FrameSize, to: FrameSize) -> Vec<u8> {
-    match image::RgbaImage::from_raw(from.width(), from.height(), bytes) {
-        Some(picture) if from != to => {
-            image::imageops::resize(&picture, to.width(), to.height(), FilterType::Triangle)
-                .into_raw()
-        }
-        picture => picture.map(image::RgbaImage::into_raw).unwrap_or_default(),
-    }
-}
-
-fn enlarged_floats(values: Vec<f32>, from: FrameSize, to: FrameSize) -> Vec<f32> {
-    match image::Rgba32FImage::from_raw(from.width(), from.height(), values) {
-        Some(picture) if from != to => {
-            image::imageops::resize(&picture, to.width(), to.height(), FilterType::Triangle)
-                .into_raw()
-        }
-        picture => picture
-            .map(image::Rgba32FImage::into_raw)
-            .unwrap_or_default(),
-    }
+/// What the device found along listed rays.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RayFigures {
+    /// Radiance of each ray in W/(m² nm sr).
+    pub radiance: Vec<[f32; 3]>,
+    /// Layers that are shown, lowest first, and in each what was found along each ray.
+    pub layers: Vec<Vec<LayerFigures>>,
+    /// The picture, where one was asked for.
+    pub picture: StillPicture,
 }

@@ -36,6 +36,10 @@ pub struct Pipelines {
     empty_layout: wgpu::BindGroupLayout,
     /// Stands where a kernel has no group.
     pub empty_group: wgpu::BindGroup,
+    /// Texture reads of the kernels that count them: low and high word.
+    pub read_counter: wgpu::Buffer,
+    /// Stands where a picture has no list of rays.
+    pub no_rays: wgpu::Buffer,
     made: HashMap<PipelineKey, wgpu::ComputePipeline>,
 }
 
@@ -119,7 +123,19 @@ impl Pipelines {
             layout: &empty_layout,
             entries: &[],
         });
+        let buffer = |label, size| {
+            gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size,
+                usage: wgpu::BufferUsages::STORAGE
+                    | wgpu::BufferUsages::COPY_DST
+                    | wgpu::BufferUsages::COPY_SRC,
+                mapped_at_creation: false,
+            })
+        };
         Self {
+            read_counter: buffer("read counter", 8),
+            no_rays: buffer("no rays", 32),
             scene_layout: layout(gpu, "scene", &[uniform()]),
             field_layout: layout(
                 gpu,
@@ -131,6 +147,7 @@ impl Pipelines {
                     sampled(D3, true),
                     SAMPLER,
                     SAMPLER,
+                    sampled(D3, true),
                 ],
             ),
             texels_layout: layout(
@@ -143,6 +160,7 @@ impl Pipelines {
                     sampled(D2, false),
                     stored(wgpu::TextureFormat::Rgba16Float),
                     stored(wgpu::TextureFormat::R32Float),
+                    storage(false),
                 ],
             ),
             cached_layout: layout(
@@ -159,10 +177,10 @@ impl Pipelines {
                     SAMPLER,
                 ],
             ),
-            pixels_layout: layout(gpu, "pixels", &[storage(false)]),
+            pixels_layout: layout(gpu, "pixels", &[storage(false), storage(false)]),
             marched_layout: layout(gpu, "marched", &[storage(true)]),
-            picture_layout: layout(gpu, "picture", &[uniform(), storage(false)]),
-            view_layout: layout(gpu, "view", &[uniform()]),
+            picture_layout: layout(gpu, "picture", &[uniform(), storage(false), storage(true)]),
+            view_layout: layout(gpu, "view", &[uniform(), storage(true)]),
             empty_layout,
             empty_group,
             made: HashMap::new(),

@@ -4,6 +4,7 @@ mod atlas;
 mod cell_buffers;
 mod frame;
 mod pixels;
+mod settings;
 mod sky;
 mod texels;
 mod uniforms;
@@ -11,11 +12,12 @@ mod uniforms;
 pub use atlas::{Atlas, TILES_PER_PAGE};
 pub use cell_buffers::CellBuffers;
 pub use frame::CellFrame;
-pub use pixels::{MarchedPixels, PixelStrip, pixels_key};
+pub use pixels::{LISTED_VALUES, MarchedPixels, PixelStrip, pixels_key};
+pub use settings::MarchSettings;
 pub use sky::{SkyLight, sky_light};
 pub use texels::{BATCH_TILES_MAX, TexelGroup, TexelMarch, texels_key};
 pub(crate) use uniforms::EXPOSURE_AT_ZERO_EV;
 pub use uniforms::{
-    ActiveLayer, MarchSettings, active_layers, hg_draine_parameters, layer_features, scene_uniform,
-    wind_drifts,
+    ActiveLayer, active_layers, grid_first_slices, hg_draine_parameters, layer_features,
+    scene_uniform, wind_drifts,
 };

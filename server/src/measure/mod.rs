@@ -1,5 +1,9 @@
 //! `skycell-server measure`: what each setting costs in time and in error.
+//!
+//! `plan` says which points, `settings` what a point is, `reference` what they are compared with; `sweep` renders and
+//! compares them by `metrics`, `store` keeps them; `front` finds what nothing beats; `report` and `quality` write it down.
 
+mod arguments;
 pub mod front;
 pub mod metrics;
 pub mod plan;
@@ -11,3 +15,16 @@ pub mod settings;
 pub mod store;
 pub mod sweep;
 pub mod tone;
+mod trade;
+
+pub use arguments::{MeasureArguments, Measurement, TradeArguments};
+
+/// Measures.
+///
+/// # Errors
+/// For a folder that cannot be written, an unreadable scene, an impossible camera, a missing device.
+pub fn run(arguments: &MeasureArguments) -> anyhow::Result<()> {
+    match &arguments.what {
+        Measurement::Trade(trade) => trade::run(trade),
+    }
+}

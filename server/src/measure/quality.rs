@@ -24,7 +24,11 @@ pub fn quality_file(report: &Report, scene: &Scene) -> Value {
                 .filter(|choice| choice.point == Some(*i))
                 .map(|choice| Some(choice.preset))
                 .collect();
-            let presets = if presets.is_empty() { vec![None] } else { presets };
+            let presets = if presets.is_empty() {
+                vec![None]
+            } else {
+                presets
+            };
             presets
                 .into_iter()
                 .map(|preset| quality_point(&report.points[*i], preset, scene, best_cost))
@@ -46,14 +50,31 @@ pub fn quality_file(report: &Report, scene: &Scene) -> Value {
     })
 }
 
-fn quality_point(point: &ReportPoint, preset: Option<Preset>, scene: &Scene, best_cost: Option<f64>) -> Value {
-    let PointSettings { steps, sun_steps, octaves, samples, mip_bias, filter, .. } = point.settings;
+fn quality_point(
+    point: &ReportPoint,
+    preset: Option<Preset>,
+    scene: &Scene,
+    best_cost: Option<f64>,
+) -> Value {
+    let PointSettings {
+        steps,
+        sun_steps,
+        octaves,
+        samples,
+        mip_bias,
+        filter,
+        ..
+    } = point.settings;
     let measurement = point.measurement;
-    let reads_per_ray = measurement.and_then(|m| {
-        let marches = m.cost.marches;
-        (marches > 0).then_some(m.cost.texture_reads? as f64 / marches as f64)
-    });
-    let relative = point.frame_cost.zip(best_cost).map(|(cost, best)| cost / best);
+    let cost = measurement.cost;
+    let reads_per_ray = cost
+        .texture_reads
+        .filter(|_| cost.marches > 0)
+        .map(|reads| reads as f64 / cost.marches as f64);
+    let relative = point
+        .frame_cost
+        .zip(best_cost)
+        .map(|(cost, best)| cost / best);
     json!({
         "preset": preset,
         "settings": {
@@ -65,9 +86,9 @@ fn quality_point(point: &ReportPoint, preset: Option<Preset>, scene: &Scene, bes
             "frame_filter": filter,
         },
         "error": {
-            "flip": measurement.map(|m| m.shown.flip),
-            "ssim": measurement.map(|m| m.shown.ssim),
-            "relative_mse": measurement.and_then(|m| m.linear).map(|l| l.relative_mse),
+            "flip": measurement.shown.flip,
+            "ssim": measurement.shown.ssim,
+            "relative_mse": measurement.linear.map(|l| l.relative_mse),
         },
         "cost": { "texture_reads_per_ray": reads_per_ray, "relative": relative },
     })

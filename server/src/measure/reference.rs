@@ -7,7 +7,7 @@
 use super::settings::PointSettings;
 use super::store::{StoreError, key_of, write_whole};
 use super::tone::shown_picture;
-use crate::frame_loop::{StillPicture, StillRenderer, StillSettings, unsupported};
+use crate::frame_loop::{StillPicture, StillRenderer, StillSettings};
 use crate::gpu::GpuError;
 use image::{ImageFormat, Rgb32FImage, RgbImage};
 use skycell_protocol::scene::ranges::SUN_STEPS;
@@ -41,26 +41,17 @@ pub enum ReferenceError {
 pub struct ReferenceSource(StillSettings);
 
 impl ReferenceSource {
-    /// The screen-space renderer with many steps and samples, and with all that saves work switched off that this build
-    /// can switch off.
+    /// The screen-space renderer with many steps and samples, rays that go to their ends, and noise interpolated in f32.
+    /// Clear sky is skipped all the same: what is skipped holds nothing.
     #[must_use]
     pub fn screen_space(camera: &Camera, steps: u32, samples: u32) -> Self {
-        let saving = PointSettings {
-            sun_steps: Some(SUN_STEPS.max as u32),
-            ..PointSettings::screen_space(steps, samples)
-        };
         let exact = PointSettings {
+            sun_steps: Some(SUN_STEPS.max as u32),
             early_exit: false,
             exact_interpolation: true,
-            ..saving
+            ..PointSettings::screen_space(steps, samples)
         };
-        let to_the_end = PointSettings {
-            early_exit: false,
-            ..saving
-        };
-        let settings = [exact, to_the_end, saving].map(|point| point.still_settings(camera, false));
-        let supported = settings.into_iter().find(|s| unsupported(s).is_none());
-        Self(supported.unwrap_or(settings[2]))
+        Self(exact.still_settings(camera, false))
     }
 
     /// What the report calls it.

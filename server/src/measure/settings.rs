@@ -1,7 +1,8 @@
 //! One point of a sweep: plain values, which the store keys by and the report prints.
 
 use crate::config::FrameFilter;
-use crate::frame_loop::{StillMarchSettings, StillSettings};
+use crate::frame_loop::StillSettings;
+use crate::march::MarchSettings;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use skycell_protocol::{Camera, RendererKind};
@@ -101,7 +102,7 @@ impl PointSettings {
         let offset_m: DVec3 = camera.right() * self.reference_sideways_m;
         StillSettings {
             renderer: self.renderer,
-            march: StillMarchSettings {
+            march: MarchSettings {
                 steps: self.steps,
                 sun_steps: self.sun_steps,
                 octaves: self.octaves,
@@ -110,6 +111,9 @@ impl PointSettings {
                 adaptive_step: self.adaptive_step,
                 exact_interpolation: self.exact_interpolation,
                 count_reads,
+                // A single sample stands in the middle of its pixel, else it would shift the picture.
+                jitter: self.samples > 1,
+                ..MarchSettings::default()
             },
             samples: self.samples,
             resolution_divisor: self.resolution_divisor,

@@ -5,7 +5,7 @@ use super::reference::{Reference, without_alpha};
 use super::settings::{PictureCodec, PointSettings};
 use super::store::{Cost, Measurement, Record, Store, key_of, write_whole};
 use crate::encode::encode_after;
-use crate::frame_loop::{StillFigures, StillRenderer, unsupported};
+use crate::frame_loop::{StillFigures, StillRenderer};
 use anyhow::Context;
 use image::{ImageFormat, RgbImage};
 use skycell_protocol::{Camera, Codec, FrameSize};
@@ -15,15 +15,6 @@ use std::time::Instant;
 
 /// A picture that takes less is rendered twice and the faster time taken: the first may have compiled a pipeline.
 const TIMED_TWICE_BELOW_S: f64 = 2.0;
-
-/// What became of a point.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Outcome {
-    /// It was measured, now or in an earlier run.
-    Measured(Box<Record>),
-    /// This build cannot.
-    NotMeasured(&'static str),
-}
 
 /// All that points are measured with.
 pub struct Sweep {
@@ -91,13 +82,10 @@ impl Sweep {
         &mut self,
         settings: &PointSettings,
         mut progress: impl FnMut(f64),
-    ) -> anyhow::Result<Outcome> {
+    ) -> anyhow::Result<Record> {
         let key = self.key(settings)?;
         if let Some(record) = self.kept(&key) {
-            return Ok(Outcome::Measured(Box::new(record.clone())));
-        }
-        if let Some(reason) = unsupported(&settings.still_settings(&self.camera, false)) {
-            return Ok(Outcome::NotMeasured(reason));
+            return Ok(record.clone());
         }
         let (shown, measurement) = match settings.codec {
             Some(codec) => self.measure_codec(codec, settings, &mut progress)?,
@@ -113,7 +101,7 @@ impl Sweep {
         };
         self.store.put(record.clone())?;
         self.measured += 1;
-        Ok(Outcome::Measured(Box::new(record)))
+        Ok(record)
     }
 
     fn measure_picture(
@@ -123,12 +111,10 @@ impl Sweep {
     ) -> anyhow::Result<(RgbImage, Measurement)> {
         let plain = settings.still_settings(&self.camera, false);
         let counting = settings.still_settings(&self.camera, true);
-        let counts = unsupported(&counting).is_none();
-        let first_share = if counts { 0.5 } else { 1.0 };
         let picture = self
             .still
             .render_with(self.camera, self.size, &plain, |share| {
-                progress(first_share * share)
+                progress(0.5 * share)
             })?;
         let StillFigures {
             marches,
@@ -145,16 +131,12 @@ impl Sweep {
             gpu_ns = gpu_ns.min(again.gpu_ns);
         }
         // Counting costs time: a run of its own.
-        let texture_reads = if counts {
-            let counted = self
-                .still
-                .render_with(self.camera, self.size, &counting, |share| {
-                    progress(0.5 + 0.5 * share)
-                })?;
-            counted.figures.texture_reads
-        } else {
-            None
-        };
+        let counted = self
+            .still
+            .render_with(self.camera, self.size, &counting, |share| {
+                progress(0.5 + 0.5 * share)
+            })?;
+        let texture_reads = counted.figures.texture_reads;
         let shown = RgbImage::from_raw(
             self.size.width(),
             self.size.height(),
@@ -192,11 +174,7 @@ impl Sweep {
             codec: None,
             ..*settings
         };
-        let Outcome::Measured(record) =
-            self.measure(&raw, &mut *progress as &mut dyn FnMut(f64))?
-        else {
-            anyhow::bail!("the picture to be compressed cannot be rendered");
-        };
+        let record = self.measure(&raw, &mut *progress as &mut dyn FnMut(f64))?;
         let path = self.picture_path(&record.key);
         let bytes =
             std::fs::read(&path).with_context(|| format!("{} cannot be read", path.display()))?;

@@ -2,6 +2,9 @@
 #import skycell::march::{scene, march_layer, sample_offset, sample_start_fraction, LayerRadiance}
 #import skycell::octahedral::direction_from_octahedral
 #import skycell::shell::{altitude_m, shell_roots}
+#ifdef COUNT_READS
+#import skycell::density::texture_reads
+#endif
 
 /// Texels along a stored tile, its gutters of GUTTER texels on every side included.
 const TILE_STRIDE: u32 = 64u;
@@ -41,6 +44,8 @@ struct Reference {
 @group(2) @binding(3) var previous_distance: texture_2d<f32>;
 @group(2) @binding(4) var atlas_radiance: texture_storage_2d_array<rgba16float, write>;
 @group(2) @binding(5) var atlas_distance: texture_storage_2d_array<r32float, write>;
+/// Texture reads so far, low and high word.
+@group(2) @binding(6) var<storage, read_write> read_counter: array<atomic<u32>, 2>;
 
 /// A direction raised to the horizon of a position, where it lies below. Texels under the horizon repeat what stands on
 /// it: viewers' own rays decide what the ground hides, and reads across the horizon find sky on both sides.
@@ -77,6 +82,10 @@ fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
     let start = sample_start_fraction(texel, item.sample_index);
     let sample = march_layer(item.layer, reference.position, direction, start);
 
+#ifdef COUNT_READS
+    let before = atomicAdd(&read_counter[0], texture_reads);
+    if before + texture_reads < before { atomicAdd(&read_counter[1], 1u); }
+#endif
     let scratch = vec2u(0u, item.previous * TILE_STRIDE) + stored;
     let old_radiance = textureLoad(previous_radiance, scratch, 0);
     let old_distance = textureLoad(previous_distance, scratch, 0).x;

@@ -3,8 +3,7 @@
 use super::super::front::{Preset, Tradeoff, pareto_front, preset_point};
 use super::super::plan::{Axis, Extent, PlannedPoint};
 use super::super::settings::PointSettings;
-use super::super::store::Measurement;
-use super::super::sweep::Outcome;
+use super::super::store::{Measurement, Record};
 use serde::Serialize;
 use serde_json::Value;
 use skycell_protocol::{Camera, FrameSize};
@@ -92,12 +91,10 @@ pub struct ReportPoint {
     pub position: f64,
     /// The point.
     pub settings: PointSettings,
-    /// Its key in the store, if it was measured.
-    pub key: Option<String>,
+    /// Its key in the store.
+    pub key: String,
     /// What came out.
-    pub measurement: Option<Measurement>,
-    /// Why it was not measured.
-    pub not_measured: Option<String>,
+    pub measurement: Measurement,
     /// FLIP against the axis's own most accurate point: the error of this setting alone.
     pub flip_of_axis: Option<f64>,
     /// Cost of a frame in the report's unit.
@@ -107,21 +104,16 @@ pub struct ReportPoint {
 }
 
 impl ReportPoint {
-    /// A point of a plan with its outcome.
+    /// A point of a plan with what came out.
     #[must_use]
-    pub fn new(planned: &PlannedPoint, outcome: &Outcome) -> Self {
-        let (key, measurement, not_measured) = match outcome {
-            Outcome::Measured(record) => (Some(record.key.clone()), Some(record.measurement), None),
-            Outcome::NotMeasured(reason) => (None, None, Some((*reason).to_owned())),
-        };
+    pub fn new(planned: &PlannedPoint, record: &Record) -> Self {
         Self {
             axis: planned.axis,
             label: planned.label.clone(),
             position: planned.position,
             settings: planned.settings,
-            key,
-            measurement,
-            not_measured,
+            key: record.key.clone(),
+            measurement: record.measurement,
             flip_of_axis: None,
             frame_cost: None,
             on_front: false,
@@ -129,10 +121,9 @@ impl ReportPoint {
     }
 
     fn tradeoff(&self) -> Tradeoff {
-        let flip = self.measurement.map(|m| m.shown.flip);
         Tradeoff {
             cost: self.frame_cost.unwrap_or(f64::NAN),
-            error: flip.unwrap_or(f64::NAN),
+            error: self.measurement.shown.flip,
         }
     }
 }
@@ -154,11 +145,8 @@ impl RungCosts {
     /// Of a frame.
     #[must_use]
     pub fn of_frame(point: &ReportPoint) -> Self {
-        let Some(measurement) = point.measurement else {
-            return Self::default();
-        };
         let frames = f64::from(point.settings.window_frames);
-        let cost = measurement.cost;
+        let cost = point.measurement.cost;
         Self {
             texture_reads: cost.texture_reads.map(|n| n as f64 / frames),
             marches: Some(cost.marches as f64 / frames),
@@ -190,13 +178,11 @@ pub struct Rung {
     /// How many times less than the plain march.
     pub times_less_than_plain: RungCosts,
     /// Mean FLIP.
-    pub flip: Option<f64>,
+    pub flip: f64,
     /// Mean SSIM.
-    pub ssim: Option<f64>,
+    pub ssim: f64,
     /// Relative MSE.
     pub relative_mse: Option<f64>,
-    /// Why it was not measured.
-    pub not_measured: Option<String>,
 }
 
 /// A preset with its point.
@@ -232,10 +218,14 @@ pub struct Report {
 impl Report {
     /// A report of points. `flip_between` compares the shown pictures of two keys.
     #[must_use]
-    pub fn new(run: RunFacts, mut points: Vec<ReportPoint>, flip_between: impl Fn(&str, &str) -> Option<f64>) -> Self {
-        let cost_unit = CostUnit::of(points.iter().filter_map(|p| p.measurement.as_ref()));
+    pub fn new(
+        run: RunFacts,
+        mut points: Vec<ReportPoint>,
+        flip_between: impl Fn(&str, &str) -> Option<f64>,
+    ) -> Self {
+        let cost_unit = CostUnit::of(points.iter().map(|p| &p.measurement));
         for point in &mut points {
-            let whole = point.measurement.as_ref().and_then(|m| cost_unit.cost(m));
+            let whole = cost_unit.cost(&point.measurement);
             point.frame_cost = whole.map(|cost| cost / f64::from(point.settings.window_frames));
         }
         for axis in Axis::ALL {
@@ -251,7 +241,11 @@ impl Report {
             .into_iter()
             .map(|preset| PresetChoice {
                 preset,
-                rule: preset.flip_max().map_or("the least FLIP".to_owned(), |max| format!("the cheapest with FLIP ≤ {max}")),
+                rule: preset
+                    .flip_max()
+                    .map_or("the least FLIP".to_owned(), |max| {
+                        format!("the cheapest with FLIP ≤ {max}")
+                    }),
                 point: preset_point(preset, &quality_front, &tradeoffs),
             })
             .collect();
@@ -268,7 +262,10 @@ impl Report {
 
     /// The points of an axis with their indices.
     pub fn points_of(&self, axis: Axis) -> impl Iterator<Item = (usize, &ReportPoint)> {
-        self.points.iter().enumerate().filter(move |(_, p)| p.axis == axis)
+        self.points
+            .iter()
+            .enumerate()
+            .filter(move |(_, p)| p.axis == axis)
     }
 }
 
@@ -278,34 +275,51 @@ fn front_of(
     tradeoffs: &[Tradeoff],
     belongs: impl Fn(&PointSettings) -> bool,
 ) -> Vec<usize> {
-    let of_these: Vec<usize> = (0..points.len()).filter(|i| belongs(&points[*i].settings)).collect();
+    let of_these: Vec<usize> = (0..points.len())
+        .filter(|i| belongs(&points[*i].settings))
+        .collect();
     let these: Vec<Tradeoff> = of_these.iter().map(|i| tradeoffs[*i]).collect();
-    pareto_front(&these).into_iter().map(|i| of_these[i]).collect()
+    pareto_front(&these)
+        .into_iter()
+        .map(|i| of_these[i])
+        .collect()
 }
 
 /// The most accurate point of an axis, where there is one.
-fn finest<'a>(axis: Axis, points: impl Iterator<Item = &'a ReportPoint>) -> Option<&'a ReportPoint> {
+fn finest<'a>(
+    axis: Axis,
+    points: impl Iterator<Item = &'a ReportPoint>,
+) -> Option<&'a ReportPoint> {
     let by_position = |a: &&ReportPoint, b: &&ReportPoint| a.position.total_cmp(&b.position);
     match axis {
-        Axis::Steps | Axis::SunSteps | Axis::Octaves | Axis::Budget | Axis::Codec => points.max_by(by_position),
+        Axis::Steps | Axis::SunSteps | Axis::Octaves | Axis::Budget | Axis::Codec => {
+            points.max_by(by_position)
+        }
         Axis::Resolution | Axis::MipBias | Axis::Offset => points.min_by(by_position),
         Axis::Ladder | Axis::Window | Axis::TexelFormat | Axis::Front => None,
     }
 }
 
-fn set_flip_of_axis(axis: Axis, points: &mut [ReportPoint], flip_between: &impl Fn(&str, &str) -> Option<f64>) {
+fn set_flip_of_axis(
+    axis: Axis,
+    points: &mut [ReportPoint],
+    flip_between: &impl Fn(&str, &str) -> Option<f64>,
+) {
     let best = finest(axis, points.iter().filter(|p| p.axis == axis));
-    let Some(best) = best.and_then(|p| p.key.clone()) else {
+    let Some(best) = best.map(|p| p.key.clone()) else {
         return;
     };
     for point in points.iter_mut().filter(|p| p.axis == axis) {
-        point.flip_of_axis = point.key.as_deref().and_then(|key| flip_between(&best, key));
+        point.flip_of_axis = flip_between(&best, &point.key);
     }
 }
 
 fn ladder(points: &[ReportPoint]) -> Vec<Rung> {
     let rungs: Vec<&ReportPoint> = points.iter().filter(|p| p.axis == Axis::Ladder).collect();
-    let plain = rungs.first().map(|p| RungCosts::of_frame(p)).unwrap_or_default();
+    let plain = rungs
+        .first()
+        .map(|p| RungCosts::of_frame(p))
+        .unwrap_or_default();
     rungs
         .into_iter()
         .map(|point| {
@@ -314,10 +328,9 @@ fn ladder(points: &[ReportPoint]) -> Vec<Rung> {
                 name: point.label.clone(),
                 frame,
                 times_less_than_plain: frame.factors(plain),
-                flip: point.measurement.map(|m| m.shown.flip),
-                ssim: point.measurement.map(|m| m.shown.ssim),
-                relative_mse: point.measurement.and_then(|m| m.linear).map(|l| l.relative_mse),
-                not_measured: point.not_measured.clone(),
+                flip: point.measurement.shown.flip,
+                ssim: point.measurement.shown.ssim,
+                relative_mse: point.measurement.linear.map(|l| l.relative_mse),
             }
         })
         .collect()
@@ -336,8 +349,6 @@ pub struct Summary<'a> {
     pub points: usize,
     /// Of these, how many were measured in this run.
     pub measured_now: u32,
-    /// Of these, how many this build cannot measure.
-    pub not_measured: usize,
     /// What costs are told in.
     pub cost_unit: CostUnit,
     /// The rungs.

@@ -8,3 +8,4 @@ mod table;
 pub use data::{CostUnit, PresetChoice, Report, ReportPoint, RunFacts, Rung, Summary};
 pub use page::page;
 pub use table::csv;
+pub(crate) use table::name_of;

@@ -24,9 +24,9 @@ struct Row<'a> {
     filter: &'a str,
     reference_sideways_m: f64,
     codec: String,
-    flip: Option<f64>,
+    flip: f64,
     flip_of_axis: Option<f64>,
-    ssim: Option<f64>,
+    ssim: f64,
     relative_mse: Option<f64>,
     relative_mse_per_pixel: Option<f64>,
     worst_pixel_deviation: Option<f64>,
@@ -40,11 +40,10 @@ struct Row<'a> {
     encoded_bytes: Option<u64>,
     encode_ms: Option<f64>,
     on_front: bool,
-    not_measured: &'a str,
 }
 
 /// A name as it stands in JSON.
-pub(super) fn name_of(value: &impl Serialize) -> String {
+pub(crate) fn name_of(value: &impl Serialize) -> String {
     match serde_json::to_value(value) {
         Ok(serde_json::Value::String(name)) => name,
         other => other.map(|value| value.to_string()).unwrap_or_default(),
@@ -60,14 +59,16 @@ pub fn csv(report: &Report) -> Result<Vec<u8>, csv::Error> {
     for point in &report.points {
         write_row(&mut writer, point)?;
     }
-    writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))
+    writer
+        .into_inner()
+        .map_err(|error| csv::Error::from(error.into_error()))
 }
 
 fn write_row(writer: &mut csv::Writer<Vec<u8>>, point: &ReportPoint) -> Result<(), csv::Error> {
     let settings = &point.settings;
     let costs = RungCosts::of_frame(point);
     let measurement = point.measurement;
-    let linear = measurement.and_then(|m| m.linear);
+    let linear = measurement.linear;
     writer.serialize(Row {
         axis: &name_of(&point.axis),
         label: &point.label,
@@ -90,22 +91,21 @@ fn write_row(writer: &mut csv::Writer<Vec<u8>>, point: &ReportPoint) -> Result<(
             Some(PictureCodec::Png) => "png".into(),
             Some(PictureCodec::Jpeg(quality)) => format!("jpeg {quality}"),
         },
-        flip: measurement.map(|m| m.shown.flip),
+        flip: measurement.shown.flip,
         flip_of_axis: point.flip_of_axis,
-        ssim: measurement.map(|m| m.shown.ssim),
+        ssim: measurement.shown.ssim,
         relative_mse: linear.map(|l| l.relative_mse),
         relative_mse_per_pixel: linear.map(|l| l.relative_mse_per_pixel),
         worst_pixel_deviation: linear.map(|l| l.worst_pixel.relative_deviation),
         worst_pixel_x: linear.map(|l| l.worst_pixel.x),
         worst_pixel_y: linear.map(|l| l.worst_pixel.y),
-        path_traced_relative_mse: measurement.and_then(|m| m.path_traced_relative_mse),
+        path_traced_relative_mse: measurement.path_traced_relative_mse,
         texture_reads_per_frame: costs.texture_reads,
         marches_per_frame: costs.marches,
         gpu_ms_per_frame: costs.gpu_ms,
         wall_ms_per_frame: costs.wall_ms,
-        encoded_bytes: measurement.and_then(|m| m.cost.encoded_bytes),
-        encode_ms: measurement.and_then(|m| m.cost.encode_s).map(|s| s * 1e3),
+        encoded_bytes: measurement.cost.encoded_bytes,
+        encode_ms: measurement.cost.encode_s.map(|s| s * 1e3),
         on_front: point.on_front,
-        not_measured: point.not_measured.as_deref().unwrap_or_default(),
     })
 }
