@@ -50,6 +50,8 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @property {number} fps
  * @property {number} mbit_per_s
  * @property {boolean} sky_converged
+ * @property {number | null} [cache_error_p50_percent]  how far half of the cached texels are from fresh ones at most
+ * @property {number | null} [cache_error_p95_percent]  the same of 95 of 100
  */
 
 /**

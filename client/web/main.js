@@ -132,6 +132,12 @@ function texelsText({ texels_pending, sky_converged }) {
   return sky_converged ? "converged" : "none pending";
 }
 
+/** @param {import("./connection.js").ServerStatus} server */
+function cacheErrorText({ cache_error_p50_percent: p50, cache_error_p95_percent: p95 }) {
+  if (typeof p50 !== "number" || typeof p95 !== "number") return "–";
+  return `p50 ${p50.toFixed(1)} % p95 ${p95.toFixed(1)} %`;
+}
+
 /** @param {ConnectionStatus} status */
 function showFigures(status) {
   const { server, header, fps, mbit_per_s, latency_ms, frame_age_ms } = status;
@@ -146,6 +152,7 @@ function showFigures(status) {
   write("viewers", server ? String(server.viewers_in_cell) : "–");
   write("overlap", server ? `${(server.overlap * 100).toFixed(0)} %` : "–");
   write("texels", server ? texelsText(server) : "–");
+  write("cache-error", server ? cacheErrorText(server) : "–");
   write("picture-size", header ? `${header.width} × ${header.height}${header.coarse ? ", still coarse" : ""}` : "–");
 }
 

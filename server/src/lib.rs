@@ -9,6 +9,7 @@ pub mod metrics;
 pub mod scene;
 pub mod viewers;
 
+pub mod audit;
 pub mod cache;
 pub mod cells;
 pub mod composite;
@@ -16,6 +17,8 @@ pub mod field;
 pub mod frame_loop;
 pub mod gpu;
 pub mod march;
+
+pub mod probe;
 
 pub mod encode;
 pub mod stream;

@@ -121,6 +121,14 @@ fn describe() {
     describe_counter!("skycell_texels_updated_total", "Cache texels marched");
     describe_counter!("skycell_tiles_updated_total", "Cache tiles marched");
     describe_counter!("skycell_tiles_evicted_total", "Cache tiles given up");
+    describe_counter!(
+        "skycell_texels_audited_total",
+        "Cache texels marched again to see how wrong the cache is"
+    );
+    describe_gauge!(
+        "skycell_cache_error_percent",
+        "Deviation of cached texels from texels marched anew, by quantile"
+    );
     describe_counter!("skycell_frames_composited_total", "Frames composited");
     describe_counter!("skycell_frames_read_back_total", "Frames read back");
     describe_counter!(
@@ -168,15 +176,26 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
     counter!("skycell_texels_updated_total").absolute(totals.texels_updated);
     counter!("skycell_tiles_updated_total").absolute(totals.tiles_updated);
     counter!("skycell_tiles_evicted_total").absolute(totals.tiles_evicted);
+    counter!("skycell_texels_audited_total").absolute(totals.texels_audited);
     counter!("skycell_frames_composited_total").absolute(totals.frames_composited);
     counter!("skycell_frames_read_back_total").absolute(totals.frames_read_back);
     counter!("skycell_screen_space_marches_total").absolute(totals.screen_space_marches);
     for (pass, time_ns) in [
         ("cache", totals.gpu_cache_ns),
+        ("audit", totals.gpu_audit_ns),
         ("composite", totals.gpu_composite_ns),
         ("screen-space", totals.gpu_screen_space_ns),
     ] {
         counter!("skycell_gpu_nanoseconds_total", "pass" => pass).absolute(time_ns);
+    }
+    for (quantile, percent) in [
+        ("0.5", stats.audit.p50_percent),
+        ("0.95", stats.audit.p95_percent),
+        ("0.99", stats.audit.p99_percent),
+    ] {
+        if let Some(percent) = percent {
+            gauge!("skycell_cache_error_percent", "quantile" => quantile).set(percent);
+        }
     }
     gauge!("skycell_cache_bytes").set(totals.cache_bytes as f64);
     gauge!("skycell_scene_revision").set(stats.scene_revision as f64);

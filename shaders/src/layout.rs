@@ -245,6 +245,41 @@ gpu_struct! {
 }
 
 gpu_struct! {
+    /// One texel that is marched again to see how wrong the cache is.
+    AuditWork {
+        /// Column and row of the tile at its level.
+        tile: [u32; 2],
+        /// Column and row in the stored tile, gutters included.
+        texel: [u32; 2],
+        /// Texels along the octahedral square at that level.
+        texels_per_side: f32,
+        /// Slot in the atlas.
+        slot: u32,
+        /// Index of the layer.
+        layer: u32,
+        /// Padding.
+        _pad_end: u32,
+    }
+}
+
+gpu_struct! {
+    /// A texel as the cache holds it, and one sample of it marched anew: single scattering, octaves, ambient,
+    /// transmittance.
+    AuditSample {
+        /// What the cache holds.
+        cached: [f32; 4],
+        /// The sample.
+        fresh: [f32; 4],
+        /// Distance times opacity that the cache holds, m.
+        cached_distance: f32,
+        /// The same of the sample.
+        fresh_distance: f32,
+        /// Padding.
+        _pad_end: [f32; 2],
+    }
+}
+
+gpu_struct! {
     /// Where the rays of a cell start.
     Reference {
         /// In the cell's frame, m.

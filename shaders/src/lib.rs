@@ -18,19 +18,25 @@ pub enum Kernel {
     MarchTexels,
     /// One ray per pixel of a viewer: the screen-space renderer.
     MarchPixels,
+    /// Texels marched once more, beside what the cache holds of them.
+    AuditTexels,
     /// One picture for one viewer.
     Composite,
     /// Physical functions evaluated at given points, for tests.
     Probe,
+    /// Functions of the scene and its cloud field evaluated at given points.
+    ProbeField,
 }
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 4] = [
+    pub const ALL: [Self; 6] = [
         Self::MarchTexels,
         Self::MarchPixels,
+        Self::AuditTexels,
         Self::Composite,
         Self::Probe,
+        Self::ProbeField,
     ];
 
     /// Name of the entry point.
@@ -39,8 +45,10 @@ impl Kernel {
         match self {
             Self::MarchTexels => "march_texels",
             Self::MarchPixels => "march_pixels",
+            Self::AuditTexels => "audit_texels",
             Self::Composite => "composite",
             Self::Probe => "probe",
+            Self::ProbeField => "probe_field",
         }
     }
 
@@ -54,11 +62,13 @@ impl Kernel {
                 "march/pixels.wgsl",
                 include_str!("../wgsl/march/pixels.wgsl"),
             ),
+            Self::AuditTexels => ("march/audit.wgsl", include_str!("../wgsl/march/audit.wgsl")),
             Self::Composite => (
                 "composite/composite.wgsl",
                 include_str!("../wgsl/composite/composite.wgsl"),
             ),
             Self::Probe => ("probe/probe.wgsl", include_str!("../wgsl/probe/probe.wgsl")),
+            Self::ProbeField => ("probe/field.wgsl", include_str!("../wgsl/probe/field.wgsl")),
         }
     }
 }
@@ -189,6 +199,14 @@ const MODULES: &[(&str, &str)] = &[
         include_str!("../wgsl/cloud/density.wgsl"),
     ),
     ("march/march.wgsl", include_str!("../wgsl/march/march.wgsl")),
+    (
+        "march/accumulate.wgsl",
+        include_str!("../wgsl/march/accumulate.wgsl"),
+    ),
+    (
+        "march/texel_ray.wgsl",
+        include_str!("../wgsl/march/texel_ray.wgsl"),
+    ),
     (
         "sky/analytic.wgsl",
         include_str!("../wgsl/sky/analytic.wgsl"),

@@ -63,6 +63,8 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::Layer>(Kernel::MarchTexels);
     check::<layout::Scene>(Kernel::MarchTexels);
     check::<layout::TileWork>(Kernel::MarchTexels);
+    check::<layout::AuditWork>(Kernel::AuditTexels);
+    check::<layout::AuditSample>(Kernel::AuditTexels);
     check::<layout::Reference>(Kernel::MarchTexels);
     check::<layout::PageTable>(Kernel::Composite);
     check::<layout::View>(Kernel::Composite);

@@ -1,7 +1,6 @@
 //! The cached renderer against the screen-space renderer: same scene, same place, same samples.
 
 use skycell_protocol::{FrameSize, RendererKind};
-use skycell_server::config::FrameFilter;
 use skycell_tests::accuracy::{Distance, Recipe, distance, picture};
 
 /// The first column of table 1 in Weinrauch et al., "Clouds in the Cloud", 2023.

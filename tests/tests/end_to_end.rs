@@ -179,7 +179,14 @@ async fn an_empty_server_and_a_resting_sky_submit_nothing() -> Outcome {
     unchanged_for(2, "no client").await?;
     let first = Viewer::join(&server, 0.0).await?;
     let second = Viewer::join(&server, 30.0).await?;
-    server.at_rest(2).await?;
+    let audit = server.at_rest(2).await?["audit"].clone();
+    ensure!(audit["rests"] == true, "the audit goes on: {audit}");
+    ensure!(audit["texels"].as_u64() > Some(1000), "{audit}");
+    let p95_percent = audit["p95_percent"].as_f64().context("a percentile")?;
+    ensure!((0.0..20.0).contains(&p95_percent), "{audit}");
+    let metrics = server.http().get(server.url("metrics")).send().await?;
+    let metrics = metrics.text().await?;
+    ensure!(metrics.contains("skycell_cache_error_percent{quantile=\"0.95\"}"));
     unchanged_for(3, "resting viewers").await?;
     // They are still served: it rests, it is not stuck.
     let input = first.look(camera([0.0, 2.0, 0.0], 10.0, 20.0)?).await?;

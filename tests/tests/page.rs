@@ -70,6 +70,12 @@ async fn the_page_shows_the_sky_looks_around_and_shares_it_with_a_second_tab() -
     first
         .wait_for("window.skycell.status.server.sky_converged")
         .await?;
+    // The audit of the converged sky.
+    first
+        .wait_for(
+            "/^p50 [0-9.]+ % p95 [0-9.]+ %$/.test(document.getElementById('cache-error').textContent)",
+        )
+        .await?;
     let folder = target_dir()?.join("page-screenshots");
     let file = folder.join("one-tab.png");
     first.screenshot(&file).await?;

@@ -62,6 +62,13 @@ pub struct Status {
     pub mbit_per_s: f64,
     /// Nothing of the cell waits for an update.
     pub sky_converged: bool,
+    /// Half of the cached texels that were marched again at high quality deviate by no more, in percent of what is
+    /// shown; null before the first.
+    #[serde(default)]
+    pub cache_error_p50_percent: Option<f64>,
+    /// The same of 95 of 100 texels.
+    #[serde(default)]
+    pub cache_error_p95_percent: Option<f64>,
 }
 
 /// Something that the client said is not allowed.

@@ -118,6 +118,12 @@ fn horizon_dip_rad(frame: &CellFrame, eye: DVec3) -> f64 {
     (frame.planet_radius_m() / (frame.planet_radius_m() + altitude_m)).acos()
 }
 
+/// Whether a direction from an eye does not point under the horizon.
+#[must_use]
+pub fn is_above_horizon(frame: &CellFrame, eye: DVec3, direction: DVec3) -> bool {
+    direction.y >= -horizon_dip_rad(frame, eye).sin()
+}
+
 /// A tile that a viewer wants, with how far it lies from the middle of the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TileRequest {

@@ -198,6 +198,19 @@ impl SphereCache {
         self.samples_of(key).is_some_and(|samples| samples > 0)
     }
 
+    /// Tiles that viewers want, that show the present scene and have all their samples, in a fixed order.
+    #[must_use]
+    pub fn settled(&self, samples: u32) -> Vec<(TileKey, Slot)> {
+        let mut settled: Vec<(TileKey, Slot)> = self
+            .wanted
+            .iter()
+            .filter(|(key, want)| want.viewers > 0 && self.samples_of(key) >= Some(samples))
+            .filter_map(|(key, _)| Some((*key, self.tiles.get(key)?.slot)))
+            .collect();
+        settled.sort_unstable_by_key(|(key, _)| *key);
+        settled
+    }
+
     /// Updates that would gain something.
     pub(super) fn candidates(&self, samples: u32, reference: DVec3, into: &mut Vec<Candidate>) {
         for (key, want) in &self.wanted {

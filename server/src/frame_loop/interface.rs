@@ -11,6 +11,7 @@ use std::sync::mpsc::{self, Receiver, SyncSender, TrySendError};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Instant;
 
+use crate::audit::AuditStats;
 use serde::Serialize;
 use skycell_protocol::{
     Camera, CellId, Codec, FrameSequence, FrameSize, InputSequence, RendererKind, Scene, ViewerId,
@@ -247,6 +248,8 @@ pub struct RenderStats {
     pub uptime_s: f64,
     /// Sums since the start.
     pub totals: RenderTotals,
+    /// How far cached texels are from texels marched anew at high quality.
+    pub audit: AuditStats,
     /// The view cells that exist.
     pub cells: Vec<CellStats>,
     /// The viewers that the loop knows.
@@ -281,12 +284,16 @@ pub struct RenderTotals {
     pub tiles_updated: u64,
     /// Cache tiles given up.
     pub tiles_evicted: u64,
+    /// Cache texels marched again to see how wrong the cache is.
+    pub texels_audited: u64,
     /// Frames composited.
     pub frames_composited: u64,
     /// Frames read back.
     pub frames_read_back: u64,
     /// GPU time of cache updates.
     pub gpu_cache_ns: u64,
+    /// GPU time of audits.
+    pub gpu_audit_ns: u64,
     /// GPU time of composites.
     pub gpu_composite_ns: u64,
     /// GPU time of the screen-space renderer.

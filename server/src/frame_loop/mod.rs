@@ -1,6 +1,7 @@
 //! The thread that owns the GPU: takes commands, updates caches, composites frames, reads them
 //! back.
 
+mod auditing;
 mod cells_on_device;
 pub mod interface;
 mod pacing;

@@ -43,6 +43,11 @@ const FIRST_TILE_NS: f64 = 10.0e6;
 /// Device submissions that may be under way before more is marched.
 const SUBMISSIONS_MAX: u32 = 2;
 
+/// Texels of an audit while frames are wanted, and how often. 64 texels are 0.5 of a tile's samples, four times as fine.
+const HURRIED_AUDIT: (usize, Duration) = (64, Duration::from_secs(1));
+/// The same when all is marched and nothing moves, so that the sky comes to rest in a second.
+const RESTING_AUDIT: (usize, Duration) = (256, Duration::from_millis(50));
+
 /// Why a viewer's picture is out of date.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Change {
@@ -75,6 +80,8 @@ pub struct FrameLoop {
     ns_per_tile: f64,
     cache_time_seen: (u64, u64),
     was_pending: bool,
+    /// When texels are audited next, if any are left.
+    audit_due: Instant,
     /// Device time that may be marched before frames come first again, s. Negative after a batch that was longer.
     march_credit_s: f64,
 }
@@ -121,6 +128,7 @@ impl FrameLoop {
             ns_per_tile: FIRST_TILE_NS,
             cache_time_seen: (0, 0),
             was_pending: false,
+            audit_due: now,
             march_credit_s: 0.0,
         };
         let ready = frame_loop.stats.ready();
@@ -241,6 +249,7 @@ impl FrameLoop {
                 self.composited(viewer, now);
             }
         }
+        self.audit(now);
         let marched = self.march(now);
         self.publish(now, false);
         self.next_wait(now, marched)
@@ -387,6 +396,28 @@ impl FrameLoop {
         }
     }
 
+    /// Marches some texels again, after frames: none while one is due, and at rest only when all is marched.
+    fn audit(&mut self, now: Instant) {
+        self.renderer.collect_audit(now);
+        let hurried = self.hurried_fps(now) > 0.0;
+        let (texels, interval) = if hurried {
+            HURRIED_AUDIT
+        } else {
+            RESTING_AUDIT
+        };
+        let has_room = if hurried {
+            self.renderer.in_flight() < SUBMISSIONS_MAX
+        } else {
+            self.renderer.in_flight() == 0 && !self.was_pending
+        };
+        let frame_is_due = self.next_due().is_some_and(|due| due <= now);
+        if now < self.audit_due || !has_room || frame_is_due || !self.renderer.audit.is_pending() {
+            return;
+        }
+        self.renderer.audit(texels);
+        self.audit_due = now + interval;
+    }
+
     /// Whether the device has nothing to do for longer than a tile takes.
     fn device_rests(&self, now: Instant) -> bool {
         let tile = Duration::from_nanos(self.ns_per_tile as u64);
@@ -493,6 +524,12 @@ impl FrameLoop {
         } else {
             rest
         };
+        let rest = if self.renderer.audit.is_pending() {
+            let audit = self.audit_due.saturating_duration_since(now);
+            rest.min(audit.max(POLL_INTERVAL))
+        } else {
+            rest
+        };
         next.map_or(rest, |due| {
             due.saturating_duration_since(now)
                 .clamp(POLL_INTERVAL, rest)
@@ -506,5 +543,7 @@ impl FrameLoop {
             || published.viewers.len() != self.renderer.viewers.len()
             || published.totals.gpu_composite_ns != self.renderer.gpu_time(TimedPass::Composite).0
             || published.totals.gpu_cache_ns != self.renderer.gpu_time(TimedPass::Cache).0
+            || published.audit.rests == self.renderer.audit.is_pending()
+            || published.audit.texels != self.renderer.audit.stats(Instant::now()).texels
     }
 }

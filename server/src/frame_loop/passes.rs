@@ -74,6 +74,7 @@ impl SkyRenderer {
         self.submit(encoder);
         self.timing.submitted();
         self.counters.tiles_updated += updates.len() as u64;
+        self.audit.tiles_changed();
         updates
     }
 

@@ -1,6 +1,7 @@
 //! Everything that the render thread holds, and how it takes a new scene over. What happens to view cells, viewers and on
 //! the device stands in the files beside. It decides nothing about time; [`super::pacing`] does.
 
+use super::auditing::Audit;
 use super::cells_on_device::ActiveCell;
 use super::interface::{RenderStats, ViewRequest};
 use super::viewers_on_device::ActiveViewer;
@@ -11,8 +12,8 @@ use crate::config::{FrameFilter, PlacedCell, RenderConfig};
 use crate::field::FieldStore;
 use crate::gpu::{FieldTextures, Gpu, GpuError, Pipelines, TimingRing};
 use crate::march::{
-    ActiveLayer, Atlas, MarchSettings, SkyLight, TexelMarch, active_layers, layer_features,
-    pixels_key, sky_light, texels_key,
+    ActiveLayer, Atlas, MarchSettings, SkyLight, TexelMarch, active_layers, audit_key,
+    layer_features, pixels_key, sky_light, texels_key,
 };
 use glam::DVec3;
 use skycell_protocol::scene::DensityModel;
@@ -28,6 +29,7 @@ pub(super) struct Counters {
     pub(super) submissions: u64,
     pub(super) dispatches: u64,
     pub(super) tiles_updated: u64,
+    pub(super) texels_audited: u64,
     pub(super) frames_composited: u64,
     pub(super) screen_space_marches: u64,
     pub(super) frames_read_back: Arc<AtomicU64>,
@@ -41,6 +43,7 @@ pub(super) struct SkyRenderer {
     pub(super) field: FieldTextures,
     pub(super) atlas: Atlas,
     pub(super) texel_march: TexelMarch,
+    pub(super) audit: Audit,
     pub(super) caches: Caches,
     pub(super) cells: Cells,
     pub(super) config: RenderConfig,
@@ -80,6 +83,7 @@ impl SkyRenderer {
         let mut renderer = Self {
             atlas: Atlas::new(&gpu),
             texel_march: TexelMarch::new(&gpu),
+            audit: Audit::new(&gpu, &pipelines),
             timing: TimingRing::new(&gpu),
             caches: Caches::new(tiles_max, config.samples),
             cells: Cells::new(placed),
@@ -127,7 +131,11 @@ impl SkyRenderer {
         }
         for layer in &active {
             let features = layer_features(&scene, layer.scene_index, &self.settings);
-            keys.extend([texels_key(features), pixels_key(features, false)]);
+            keys.extend([
+                texels_key(features),
+                pixels_key(features, false),
+                audit_key(features),
+            ]);
         }
         for key in keys {
             self.pipelines.prepare(&self.gpu, key)?;
@@ -171,6 +179,7 @@ impl SkyRenderer {
             }
         }
         self.touch_all_requests();
+        self.audit.restart();
         Ok(())
     }
 
@@ -194,7 +203,9 @@ impl SkyRenderer {
                 },
             );
             self.refresh_cells();
-            self.march(1);
+            for update in self.march(1) {
+                self.warm_up_audit(&update);
+            }
             if renderer == RendererKind::ScreenSpace {
                 self.march_screen_space(viewer, 1);
             }
@@ -210,6 +221,7 @@ impl SkyRenderer {
             self.leave(viewer);
         }
         self.gpu.wait()?;
+        self.audit.restart();
         self.counters = Counters::default();
         self.timing = TimingRing::new(&self.gpu);
         Ok(())

@@ -2,9 +2,11 @@
 
 use super::interface::{CellStats, RenderStats, RenderTotals, ViewerRenderStats};
 use super::renderer::SkyRenderer;
+use crate::audit::AuditStats;
 use crate::cache::{BYTES_PER_TEXEL, TEXELS_PER_TILE};
 use crate::gpu::TimedPass;
 use skycell_protocol::CellId;
+use std::time::Instant;
 
 /// How much of what is requested is requested in common: 0 when no texel is asked for twice, 1 when all viewers ask for
 /// the same. With n viewers who request r texels in all, u of them distinct, (r − u) / (r − r/n).
@@ -32,13 +34,20 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             texels_updated: counters.tiles_updated * TEXELS_PER_TILE,
             tiles_updated: counters.tiles_updated,
             tiles_evicted: renderer.caches.evicted(),
+            texels_audited: counters.texels_audited,
             frames_composited: counters.frames_composited,
             frames_read_back: renderer.frames_read_back(),
             gpu_cache_ns: renderer.gpu_time(TimedPass::Cache).0,
+            gpu_audit_ns: renderer.gpu_time(TimedPass::Audit).0,
             gpu_composite_ns: renderer.gpu_time(TimedPass::Composite).0,
             gpu_screen_space_ns: renderer.gpu_time(TimedPass::ScreenSpace).0,
             screen_space_marches: counters.screen_space_marches,
             cache_bytes: renderer.cache_bytes(),
+        },
+        audit: AuditStats {
+            // Nobody is there to be shown anything wrong.
+            rests: renderer.viewers.is_empty() || !renderer.audit.is_pending(),
+            ..renderer.audit.stats(Instant::now())
         },
         cells: renderer
             .cells

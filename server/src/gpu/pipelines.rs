@@ -23,6 +23,8 @@ pub struct Pipelines {
     pub field_layout: wgpu::BindGroupLayout,
     /// Group 2 of the cache's march: work, reference, old and new texels.
     pub texels_layout: wgpu::BindGroupLayout,
+    /// Group 2 of the audit: work, reference, texels, and where they are written beside fresh ones.
+    pub audit_layout: wgpu::BindGroupLayout,
     /// Group 2 of the composite: page tables and atlas.
     pub cached_layout: wgpu::BindGroupLayout,
     /// Group 2 of the screen-space march: marched pixels, to write.
@@ -33,6 +35,10 @@ pub struct Pipelines {
     pub picture_layout: wgpu::BindGroupLayout,
     /// Group 3 of the screen-space march: view.
     pub view_layout: wgpu::BindGroupLayout,
+    /// Group 2 of the field's probe: points and values.
+    pub points_layout: wgpu::BindGroupLayout,
+    /// Group 3 of the field's probe: what is asked.
+    pub question_layout: wgpu::BindGroupLayout,
     empty_layout: wgpu::BindGroupLayout,
     /// Stands where a kernel has no group.
     pub empty_group: wgpu::BindGroup,
@@ -163,6 +169,17 @@ impl Pipelines {
                     storage(false),
                 ],
             ),
+            audit_layout: layout(
+                gpu,
+                "audit",
+                &[
+                    storage(true),
+                    uniform(),
+                    sampled(D2Array, true),
+                    sampled(D2Array, true),
+                    storage(false),
+                ],
+            ),
             cached_layout: layout(
                 gpu,
                 "cached",
@@ -180,6 +197,8 @@ impl Pipelines {
             pixels_layout: layout(gpu, "pixels", &[storage(false), storage(false)]),
             marched_layout: layout(gpu, "marched", &[storage(true)]),
             picture_layout: layout(gpu, "picture", &[uniform(), storage(false), storage(true)]),
+            points_layout: layout(gpu, "points", &[storage(true), storage(false)]),
+            question_layout: layout(gpu, "question", &[uniform()]),
             view_layout: layout(gpu, "view", &[uniform(), storage(true)]),
             empty_layout,
             empty_group,
@@ -195,11 +214,23 @@ impl Pipelines {
                 &self.texels_layout,
                 &self.empty_layout,
             ],
+            Kernel::AuditTexels => [
+                &self.scene_layout,
+                &self.field_layout,
+                &self.audit_layout,
+                &self.empty_layout,
+            ],
             Kernel::MarchPixels => [
                 &self.scene_layout,
                 &self.field_layout,
                 &self.pixels_layout,
                 &self.view_layout,
+            ],
+            Kernel::ProbeField => [
+                &self.scene_layout,
+                &self.field_layout,
+                &self.points_layout,
+                &self.question_layout,
             ],
             Kernel::Composite | Kernel::Probe => [
                 &self.scene_layout,

@@ -9,6 +9,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 pub enum TimedPass {
     /// Updated cache texels.
     Cache,
+    /// Marched texels again to see how wrong the cache is.
+    Audit,
     /// Composited a picture.
     Composite,
     /// Marched pixels of the screen-space renderer.
@@ -33,6 +35,7 @@ struct Slot {
 #[derive(Debug, Default)]
 struct Sums {
     cache: Sum,
+    audit: Sum,
     composite: Sum,
     screen_space: Sum,
 }
@@ -178,6 +181,7 @@ impl Sums {
     fn of(&self, pass: TimedPass) -> &Sum {
         match pass {
             TimedPass::Cache => &self.cache,
+            TimedPass::Audit => &self.audit,
             TimedPass::Composite => &self.composite,
             TimedPass::ScreenSpace => &self.screen_space,
         }

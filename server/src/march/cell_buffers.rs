@@ -117,6 +117,12 @@ impl CellBuffers {
         }
     }
 
+    /// The scene as it was last written.
+    #[must_use]
+    pub fn scene(&self) -> Option<&layout::Scene> {
+        self.last_scene.as_ref()
+    }
+
     /// Writes where rays start, in the cell's frame.
     pub fn set_reference(&self, gpu: &Gpu, position: DVec3) {
         let value = layout::Reference {

@@ -1,6 +1,7 @@
 //! From the scene document to marched light: what the marching kernels read, the atlas that they fill, their passes.
 
 mod atlas;
+mod audit;
 mod cell_buffers;
 mod frame;
 mod pixels;
@@ -10,6 +11,7 @@ mod texels;
 mod uniforms;
 
 pub use atlas::{Atlas, TILES_PER_PAGE};
+pub use audit::{AUDIT_PLACES, AUDIT_TEXELS_MAX, AuditGroup, AuditMarch, audit_key, finer};
 pub use cell_buffers::CellBuffers;
 pub use frame::CellFrame;
 pub use pixels::{LISTED_VALUES, MarchedPixels, PixelStrip, pixels_key};

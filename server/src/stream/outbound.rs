@@ -188,5 +188,7 @@ fn status_of(
         fps,
         mbit_per_s,
         sky_converged: figures.is_some_and(|cell| cell.converged),
+        cache_error_p50_percent: stats.audit.p50_percent,
+        cache_error_p95_percent: stats.audit.p95_percent,
     }
 }
