@@ -35,7 +35,7 @@ const CACHE_MEMORY_MIB: u32 = 2048;
 ///
 /// # Errors
 /// For a folder that cannot be written, an unreadable scene, an impossible camera, a missing device.
-pub fn run(arguments: &TradeArguments) -> anyhow::Result<()> {
+pub(super) fn run(arguments: &TradeArguments) -> anyhow::Result<()> {
     let begun = Instant::now();
     let scene = arguments.read_scene()?;
     if arguments.fresh {
