@@ -179,13 +179,23 @@ impl Extent {
     /// Samples of whatever does not sweep them.
     #[must_use]
     pub fn base_samples(self) -> u32 {
-        self.pick(4, 8, 8)
+        self.pick(2, 8, 8)
     }
 
-    /// Steps and samples of a reference that a GPU renders.
+    /// How fine a reference is that a GPU renders: what else is swept must be coarser.
     #[must_use]
-    pub fn reference_steps_and_samples(self) -> (u32, u32) {
-        self.pick((256, 16), (512, 32), (1024, 64))
+    pub fn reference_fineness(self) -> ReferenceFineness {
+        let of = |steps, sun_steps, samples, early_exit| ReferenceFineness {
+            steps,
+            sun_steps,
+            samples,
+            early_exit,
+        };
+        self.pick(
+            of(128, 16, 16, true),
+            of(512, 32, 16, true),
+            of(1024, 64, 32, false),
+        )
     }
 
     /// How often the front's neighbours are measured, and how many at most each time.
@@ -193,6 +203,19 @@ impl Extent {
     pub fn front_rounds(self) -> (u32, usize) {
         self.pick((1, 2), (3, 12), (8, 32))
     }
+}
+
+/// How fine a reference is that a GPU renders.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReferenceFineness {
+    /// Steps through a layer's thickness.
+    pub steps: u32,
+    /// Steps towards the sun.
+    pub sun_steps: u32,
+    /// Samples of a pixel.
+    pub samples: u32,
+    /// Rays end where nothing behind can be seen.
+    pub early_exit: bool,
 }
 
 /// A point with its place on an axis.

@@ -4,13 +4,13 @@
 //! the places of the same pattern, whose mean is the pixel's middle. So sub-pixel detail is averaged in both, and a
 //! tested picture with few samples is charged for its aliasing.
 
+use super::plan::ReferenceFineness;
 use super::settings::PointSettings;
 use super::store::{StoreError, key_of, write_whole};
 use super::tone::shown_picture;
 use crate::frame_loop::{StillPicture, StillRenderer, StillSettings};
 use crate::gpu::GpuError;
 use image::{ImageFormat, Rgb32FImage, RgbImage};
-use skycell_protocol::scene::ranges::SUN_STEPS;
 use skycell_protocol::{Camera, FrameSize, Scene};
 use std::io::Cursor;
 use std::path::Path;
@@ -41,15 +41,15 @@ pub enum ReferenceError {
 pub struct ReferenceSource(StillSettings);
 
 impl ReferenceSource {
-    /// The screen-space renderer with many steps and samples, rays that go to their ends, and noise interpolated in f32.
+    /// The screen-space renderer with many steps and samples, and noise interpolated in f32.
     /// Clear sky is skipped all the same: what is skipped holds nothing.
     #[must_use]
-    pub fn screen_space(camera: &Camera, steps: u32, samples: u32) -> Self {
+    pub fn screen_space(camera: &Camera, fineness: ReferenceFineness) -> Self {
         let exact = PointSettings {
-            sun_steps: Some(SUN_STEPS.max as u32),
-            early_exit: false,
+            sun_steps: Some(fineness.sun_steps),
+            early_exit: fineness.early_exit,
             exact_interpolation: true,
-            ..PointSettings::screen_space(steps, samples)
+            ..PointSettings::screen_space(fineness.steps, fineness.samples)
         };
         Self(exact.still_settings(camera, false))
     }
@@ -186,13 +186,15 @@ pub fn without_alpha<T: Copy>(rgba: &[T]) -> Vec<T> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::plan::Extent;
     use super::*;
 
     #[test]
     fn a_kept_reference_is_the_one_that_was_rendered() {
         let folder = tempfile::tempdir().expect("a folder");
         let size = FrameSize::new(4, 3).expect("a size");
-        let source = ReferenceSource::screen_space(&Camera::default(), 64, 4);
+        let source =
+            ReferenceSource::screen_space(&Camera::default(), Extent::Quick.reference_fineness());
         let rendered: Vec<f32> = (0..36).map(|i| i as f32 * 0.01 + 1e-6).collect();
         let get = |parts: &[&str], render: Option<Vec<f32>>| {
             kept_reference(

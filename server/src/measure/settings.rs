@@ -135,6 +135,24 @@ impl PointSettings {
         *self == served
     }
 
+    /// A point that runs the same pipelines with next to no work.
+    #[must_use]
+    pub fn of_least_work(&self) -> Self {
+        Self {
+            steps: 1,
+            sun_steps: Some(1),
+            // Octaves come in groups of four, which pipelines are specialised to.
+            octaves: self.octaves.map(|n| n.next_multiple_of(4)),
+            // One sample would not be jittered.
+            samples: self.samples.min(2),
+            window_frames: 1,
+            mip_bias: 4.0,
+            reference_sideways_m: 0.0,
+            codec: None,
+            ..*self
+        }
+    }
+
     /// A guess at the work, in marched steps a pixel: it shares the time that is left out among the points.
     #[must_use]
     pub fn expected_work(&self) -> f64 {

@@ -121,8 +121,7 @@ fn prepared(arguments: &TradeArguments, scene: &Scene) -> anyhow::Result<Prepare
         still.adapter(),
         version(),
     ];
-    let (steps, samples) = extent.reference_steps_and_samples();
-    let source = ReferenceSource::screen_space(&camera, steps, samples);
+    let source = ReferenceSource::screen_space(&camera, extent.reference_fineness());
     let work: f64 = planned.iter().map(|p| p.settings.expected_work()).sum();
     let mut progress = Progress::new(planned.len() as u64 + 1, work + source.expected_work());
     progress.begin("reference", source.expected_work());
@@ -150,6 +149,7 @@ fn prepared(arguments: &TradeArguments, scene: &Scene) -> anyhow::Result<Prepare
         folder,
         depends_on,
         measured: 0,
+        warm: Vec::new(),
     };
     Ok((sweep, progress, notes, planned))
 }

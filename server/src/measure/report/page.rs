@@ -30,10 +30,10 @@ pub fn page(report: &Report, reference: &str, thumbnails: Thumbnails<'_>) -> Str
                     (facts(report, reference))
                     (presets(report))
                     (front(report))
-                    @if !report.ladder.is_empty() { (ladder(report)) }
+                    @if !report.ladder.is_empty() { (ladder(report, thumbnails)) }
                     h2 { "One setting at a time" }
                     p { (legend(&[(SCREEN_SPACE, "FLIP, screen-space"), (CACHED, "FLIP, cached"), (OF_AXIS, "FLIP against the axis's own most accurate point: the error of this setting alone")])) }
-                    @for axis in Axis::ALL { (axis_section(report, axis, thumbnails)) }
+                    @for axis in Axis::ALL.into_iter().filter(|axis| *axis != Axis::Ladder) { (axis_section(report, axis, thumbnails)) }
                     (definitions(report))
                 }
             }
@@ -140,7 +140,8 @@ fn front(report: &Report) -> Markup {
     }
 }
 
-fn ladder(report: &Report) -> Markup {
+fn ladder(report: &Report, thumbnails: Thumbnails<'_>) -> Markup {
+    let points: Vec<&ReportPoint> = report.points_of(Axis::Ladder).map(|(_, p)| p).collect();
     let flip_max = report
         .ladder
         .iter()
@@ -172,6 +173,7 @@ fn ladder(report: &Report) -> Markup {
                 div { i.flip style=(format!("width:{:.1}%", 80.0 * rung.flip / flip_max)) {} b { "FLIP " (short(rung.flip)) } }
             }
         }
+        (pictures(&points, thumbnails))
     }
 }
 
@@ -223,18 +225,24 @@ fn axis_section(report: &Report, axis: Axis, thumbnails: Thumbnails<'_>) -> Mark
                 @if let Some(svg) = plot { figure { (PreEscaped(svg)) } }
                 div.scroll { (points_table(report, axis, &points)) }
             }
-            details {
-                summary { "Pictures and FLIP maps" }
-                div.thumbs { @for point in &points {
-                    @if let Some([picture, flip]) = thumbnails(&point.key) {
-                        figure {
-                            img src=(picture) alt=(format!("{}: picture", point.label)) loading="lazy";
-                            img src=(flip) alt=(format!("{}: FLIP", point.label)) loading="lazy";
-                            figcaption { (point.label) ": FLIP " (short(point.measurement.shown.flip)) }
-                        }
+            (pictures(points.as_slice(), thumbnails))
+        }
+    }
+}
+
+fn pictures(points: &[&ReportPoint], thumbnails: Thumbnails<'_>) -> Markup {
+    html! {
+        details {
+            summary { "Pictures and FLIP maps" }
+            div.thumbs { @for point in points {
+                @if let Some([picture, flip]) = thumbnails(&point.key) {
+                    figure {
+                        img src=(picture) alt=(format!("{}: picture", point.label)) loading="lazy";
+                        img src=(flip) alt=(format!("{}: FLIP", point.label)) loading="lazy";
+                        figcaption { (point.label) ": FLIP " (short(point.measurement.shown.flip)) }
                     }
-                } }
-            }
+                }
+            } }
         }
     }
 }
@@ -246,11 +254,12 @@ fn points_table(report: &Report, axis: Axis, points: &[&ReportPoint]) -> Markup 
     html! {
         table {
             thead { tr {
-                th { (axis.quantity()) } th.n { "FLIP" } th.n { "of this" } th.n { "SSIM" }
+                th { (axis.quantity()) } th.n { "FLIP" } th.n { "of this" }
+                @if axis == Axis::Codec { th.n { "kB" } th.n { "ms to encode" } } @else { th.n { (report.cost_unit.label()) } }
+                th.n { "SSIM" }
                 @if axis != Axis::Codec { th.n { "Relative MSE" } th.n { "per pixel" } th.n { "Worst pixel" } }
                 @if path_traced { th.n { "Relative MSE, path tracer" } }
-                @if axis == Axis::Codec { th.n { "kB" } th.n { "ms to encode" } }
-                @else { th.n { (report.cost_unit.label()) } th.n { "Rays" } th.n { "GPU ms" } th.n { "Clock ms" } }
+                @if axis != Axis::Codec { th.n { "Rays" } th.n { "GPU ms" } th.n { "Clock ms" } }
             } }
             tbody { @for point in points {
                 @let measurement = point.measurement;
@@ -259,6 +268,10 @@ fn points_table(report: &Report, axis: Axis, points: &[&ReportPoint]) -> Markup 
                     th { (point.label) }
                     td.n { (short(measurement.shown.flip)) }
                     td.n { (optional(point.flip_of_axis)) }
+                    @if axis == Axis::Codec {
+                        td.n { (optional(measurement.cost.encoded_bytes.map(|n| n as f64 / 1e3))) }
+                        td.n { (optional(measurement.cost.encode_s.map(|s| s * 1e3))) }
+                    } @else { td.n { (optional(point.frame_cost)) } }
                     td.n { (format!("{:.4}", measurement.shown.ssim)) }
                     @if axis != Axis::Codec {
                         td.n { (optional(measurement.linear.map(|l| l.relative_mse))) }
@@ -268,11 +281,7 @@ fn points_table(report: &Report, axis: Axis, points: &[&ReportPoint]) -> Markup 
                         } }
                     }
                     @if path_traced { td.n { (optional(measurement.path_traced_relative_mse)) } }
-                    @if axis == Axis::Codec {
-                        td.n { (optional(measurement.cost.encoded_bytes.map(|n| n as f64 / 1e3))) }
-                        td.n { (optional(measurement.cost.encode_s.map(|s| s * 1e3))) }
-                    } @else {
-                        td.n { (optional(point.frame_cost)) }
+                    @if axis != Axis::Codec {
                         td.n { (optional(costs.marches)) } td.n { (optional(costs.gpu_ms)) } td.n { (optional(costs.wall_ms)) }
                     }
                 }
@@ -294,7 +303,7 @@ fn definitions(report: &Report) -> Markup {
             dt { "Worst pixel" } dd { "The largest |Y(a) − Y(b)| / max(Y(b), " (DARK_SHARE) " · mean Y(b)) and its column and row." }
             dt { "Rays" } dd { "Marched samples of pixels or texels. The cache's serve every viewer of its cell and all later frames; "
                 "the screen-space renderer's serve one." }
-            dt { "GPU ms, clock ms" } dd { "The faster of two renderings where one takes less than 2 s. Clock times include "
+            dt { "GPU ms, clock ms" } dd { "The faster of two renderings where one takes less than half a second. Clock times include "
                 "compositing and reading back." }
             dt { "Presets" } dd { @for choice in &report.presets { (choice.preset.name()) ": " (choice.rule) ". " } }
         }
