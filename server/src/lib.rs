@@ -28,3 +28,4 @@ pub mod doctor;
 pub mod measure;
 pub mod render_command;
 pub mod service;
+pub mod truth;

@@ -31,7 +31,7 @@ enum Command {
     #[command(
         after_help = "Example: skycell-server render --scene sunset.json --yaw-deg 250 --pitch-deg 10 --out sunset.png"
     )]
-    Render(RenderArguments),
+    Render(Box<RenderArguments>),
     /// Measure what each setting costs in time and in error.
     Measure(MeasureArguments),
     /// Say which adapters there are, whether they can render, and how to get what is missing.

@@ -9,7 +9,7 @@ use skycell_shaders::{Density, Features, layout};
 
 /// Factor from radiance (per unit of the sun's spectral irradiance in W/(m² nm)) to the tone curve at 0 EV.
 /// Tuned: puts a sunlit cumulus just under the shoulder, the noon sky at middle grey (`skycell-server render`).
-pub(crate) const EXPOSURE_AT_ZERO_EV: f64 = 3.6;
+pub const EXPOSURE_AT_ZERO_EV: f64 = 3.6;
 
 /// A ray stops where less than this share of the light behind could still come through.
 const TRANSMITTANCE_MIN: f32 = 0.004;

@@ -2,7 +2,8 @@
 
 use super::metrics::COMPARED_SIDE_MIN;
 use super::plan::{Axis, Extent};
-use crate::render_command::{default_noise_cache_dir, read_scene, triple};
+use super::reference::{ReferenceSource, TruthInputs};
+use crate::render_command::{Folders, read_scene, triple};
 use anyhow::Context;
 use skycell_protocol::{Camera, FrameSize, Scene};
 use std::path::PathBuf;
@@ -66,6 +67,18 @@ pub struct TradeArguments {
     /// Folder in which noise is kept.
     #[arg(long, env = "SKYCELL_CACHE_DIR")]
     pub noise_cache_dir: Option<PathBuf>,
+    /// What pictures are measured against.
+    #[arg(long, value_enum, default_value_t = ReferenceKind::ScreenSpace)]
+    pub reference: ReferenceKind,
+    /// Rays across and down a pixel of the converged reference, 1 to 16.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=16))]
+    pub reference_grid: u32,
+    /// Relative change that counts as none when the converged reference halves its steps.
+    #[arg(long, default_value_t = 1e-3)]
+    pub tolerance: f64,
+    /// Also measure against the path tracer, with so many paths a pixel: for small pictures.
+    #[arg(long, value_name = "PATHS", value_parser = clap::value_parser!(u64).range(16..=1_000_000))]
+    pub path_traced: Option<u64>,
     /// Measure everything anew, whatever is in the folder.
     #[arg(long)]
     pub fresh: bool,
@@ -75,6 +88,15 @@ pub struct TradeArguments {
     /// Print the summary as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+/// What pictures are measured against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum ReferenceKind {
+    /// The screen-space renderer, finer than all that is swept.
+    ScreenSpace,
+    /// The same model on the processor in f64, steps halved until nothing changes: hours for a large picture.
+    Converged,
 }
 
 fn parsed_size(text: &str) -> Result<FrameSize, String> {
@@ -132,14 +154,30 @@ impl TradeArguments {
         read_scene(self.scene.as_deref())
     }
 
-    /// Where noise is kept.
+    /// What the f64 renderers need; where data lie.
     #[must_use]
-    pub fn noise_folder(&self) -> PathBuf {
-        let folder = self
-            .noise_cache_dir
-            .clone()
-            .or_else(default_noise_cache_dir);
-        folder.unwrap_or_else(|| PathBuf::from("skycell-cache"))
+    pub fn truth_inputs(&self, scene: &Scene) -> TruthInputs {
+        let folders = Folders::of(self.scene.as_deref(), self.noise_cache_dir.as_ref());
+        TruthInputs {
+            scene: scene.clone(),
+            noise_dir: folders.noise,
+            grids_dir: folders.grids,
+            time_s: self.time_s,
+        }
+    }
+
+    /// What pictures are measured against.
+    #[must_use]
+    pub fn reference_source(&self, camera: &Camera) -> ReferenceSource {
+        match self.reference {
+            ReferenceKind::ScreenSpace => {
+                ReferenceSource::screen_space(camera, self.extent().reference_fineness())
+            }
+            ReferenceKind::Converged => ReferenceSource::Converged {
+                grid: self.reference_grid,
+                tolerance: self.tolerance,
+            },
+        }
     }
 
     /// The sweeps, in the report's order.

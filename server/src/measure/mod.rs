@@ -14,10 +14,9 @@ pub mod report;
 pub mod settings;
 pub mod store;
 pub mod sweep;
-pub mod tone;
 mod trade;
 
-pub use arguments::{MeasureArguments, Measurement, TradeArguments};
+pub use arguments::{MeasureArguments, Measurement, ReferenceKind, TradeArguments};
 
 /// Measures.
 ///

@@ -1,7 +1,7 @@
 //! Measures points: renders, compares, keeps.
 
 use super::metrics::{flip_map, linear_errors, shown_errors};
-use super::reference::{Reference, without_alpha};
+use super::reference::{PathTraced, Reference, without_alpha};
 use super::settings::{PictureCodec, PointSettings};
 use super::store::{Cost, Measurement, Record, Store, key_of, write_whole};
 use crate::encode::encode_after;
@@ -26,6 +26,8 @@ pub struct Sweep {
     pub size: FrameSize,
     /// What they are compared with.
     pub reference: Reference,
+    /// The truth about the model's approximations, if it was rendered.
+    pub path_traced: Option<PathTraced>,
     /// Where results are kept.
     pub store: Store,
     /// Folder of the store.
@@ -59,6 +61,11 @@ impl Sweep {
         let settings = serde_json::to_string(settings)?;
         let mut parts: Vec<&str> = self.depends_on.iter().map(String::as_str).collect();
         parts.extend([self.reference.key.as_str(), settings.as_str()]);
+        let paths = self
+            .path_traced
+            .as_ref()
+            .map(|traced| traced.paths.to_string());
+        parts.extend(paths.as_deref());
         Ok(key_of(&parts))
     }
 
@@ -162,15 +169,20 @@ impl Sweep {
             without_alpha(&picture.display),
         )
         .context("the device gave a picture of another size")?;
-        let linear = linear_errors(
-            &self.reference.linear,
-            &without_alpha(&picture.linear),
-            self.size.width(),
-        )?;
+        let radiance = without_alpha(&picture.linear);
+        let width = self.size.width();
+        let linear = linear_errors(&self.reference.linear, &radiance, width)?;
+        let path_traced = match &self.path_traced {
+            Some(traced) => {
+                let found = linear_errors(&traced.linear, &radiance, width)?.relative_mse;
+                Some((found - traced.noise).max(0.0))
+            }
+            None => None,
+        };
         let measurement = Measurement {
             shown: shown_errors(&self.reference.shown, &shown)?,
             linear: Some(linear),
-            path_traced_relative_mse: None,
+            path_traced_relative_mse: path_traced,
             cost: Cost {
                 marches,
                 texture_reads,

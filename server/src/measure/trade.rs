@@ -1,12 +1,12 @@
 //! `skycell-server measure trade`: time against error.
 
-use super::arguments::TradeArguments;
+use super::arguments::{ReferenceKind, TradeArguments};
 use super::front::{Tradeoff, pareto_front};
 use super::metrics::shown_errors;
 use super::plan::{Axis, PlannedPoint, front_point, neighbours, plan};
 use super::progress::{Progress, spoken};
 use super::quality::quality_file;
-use super::reference::{FOOTPRINT, ReferenceSource, kept_reference, reference_picture};
+use super::reference::{FOOTPRINT, kept_path_traced, kept_reference, reference_picture};
 use super::report::{CostUnit, Report, ReportPoint, RunFacts, Summary, csv, page};
 use super::settings::PointSettings;
 use super::store::{Record, Store, write_whole};
@@ -104,9 +104,11 @@ fn prepared(arguments: &TradeArguments, scene: &Scene) -> anyhow::Result<Prepare
         );
     }
     let planned = plan(extent, &axes, scene.light().octaves());
+    let inputs = arguments.truth_inputs(scene);
     let config = RenderConfig {
         cache_memory_mib: CACHE_MEMORY_MIB,
-        ..RenderConfig::new(arguments.noise_folder())
+        grids_dir: inputs.grids_dir.clone(),
+        ..RenderConfig::new(inputs.noise_dir.clone())
     };
     let mut still = StillRenderer::new(config, Arc::new(scene.clone()), &[])?;
     still.advance_time(arguments.time_s);
@@ -121,30 +123,41 @@ fn prepared(arguments: &TradeArguments, scene: &Scene) -> anyhow::Result<Prepare
         still.adapter(),
         version(),
     ];
-    let source = ReferenceSource::screen_space(&camera, extent.reference_fineness());
+    let source = arguments.reference_source(&camera);
     let work: f64 = planned.iter().map(|p| p.settings.expected_work()).sum();
     let mut progress = Progress::new(planned.len() as u64 + 1, work + source.expected_work());
     progress.begin("reference", source.expected_work());
     let parts: Vec<&str> = depends_on.iter().map(String::as_str).collect();
-    let reference = kept_reference(
-        &arguments.out.join("reference"),
-        &parts,
-        scene,
-        size,
-        &source,
-        || {
-            reference_picture(&mut still, &source, camera, size, |share| {
-                progress.share(share)
-            })
-        },
-    )?;
+    let references = arguments.out.join("reference");
+    let reference = kept_reference(&references, &parts, scene, size, &source, || {
+        reference_picture(&mut still, &source, &inputs, camera, size, |share| {
+            progress.share(share)
+        })
+    })?;
     progress.done("rendered");
+    let path_traced = match arguments.path_traced {
+        Some(paths) => {
+            progress.add(0.0);
+            progress.begin("path tracer", 0.0);
+            let share = |share| progress.share(share);
+            let traced =
+                kept_path_traced(&references, &parts, &inputs, camera, size, paths, share)?;
+            progress.done("rendered");
+            notes.push(format!(
+                "Path tracer: {paths} paths a pixel; the relative MSE of its own noise, {:.2e}, is taken off.",
+                traced.noise
+            ));
+            Some(traced)
+        }
+        None => None,
+    };
     let folder = arguments.out.clone();
     let sweep = Sweep {
         still,
         camera,
         size,
         reference,
+        path_traced,
         store,
         folder,
         depends_on,
@@ -281,6 +294,17 @@ fn command(arguments: &TradeArguments, sweep: &Sweep) -> String {
         sweep.size.width(),
         sweep.size.height()
     ));
+    if arguments.reference == ReferenceKind::Converged {
+        words.push(format!(
+            "--reference converged --reference-grid {} --tolerance {}",
+            arguments.reference_grid, arguments.tolerance
+        ));
+    }
+    words.extend(
+        arguments
+            .path_traced
+            .map(|paths| format!("--path-traced {paths}")),
+    );
     words.extend(arguments.scene.as_ref().map(|path| {
         let name = path.file_name().unwrap_or_default();
         format!("--scene {}", name.to_string_lossy())

@@ -21,12 +21,20 @@ pub(super) fn blended(
     let hazed = world.settings().approximations.aerial_perspective;
     let (mut radiance, mut single) = (background.radiance, DVec3::ZERO);
     let (mut transmittance, mut optical_depth) = (1.0, 0.0);
-    for cloud in gathered.iter().rev() {
-        let air_extinction_per_m = world
-            .layers()
-            .iter()
-            .find(|layer| layer.scene_index == cloud.scene_index)
-            .map_or(DVec3::ZERO, |layer| layer.air_extinction_per_m);
+    let layer_of = |cloud: &LayerGathered| {
+        let mut layers = world.layers().iter();
+        layers.find(|layer| layer.scene_index == cloud.scene_index)
+    };
+    // The farthest first: layers above the eye from the highest down, then those below it from the lowest up.
+    let eye_m = world.globe().altitude_m(ray.origin_m);
+    let is_above = |cloud: &&LayerGathered| {
+        layer_of(cloud).is_some_and(|layer| layer.proxy_altitude_m >= eye_m)
+    };
+    let above = gathered.iter().rev().filter(is_above);
+    let below = gathered.iter().filter(|cloud| !is_above(cloud));
+    for cloud in above.chain(below) {
+        let air_extinction_per_m =
+            layer_of(cloud).map_or(DVec3::ZERO, |layer| layer.air_extinction_per_m);
         let (kept, share) = if hazed {
             let kept = (-cloud.distance_seen_m() * air_extinction_per_m).exp();
             let share = (DVec3::ONE - kept) * background.air_share;

@@ -30,7 +30,7 @@ pub struct MarchSteps {
     pub start_fraction: f64,
     /// Whether a ray ends where hardly any light comes through.
     pub early_exit: bool,
-    /// Whether layers are left out where the ray ends on the ground, as in the composite. Right only from below.
+    /// Whether layers above the eye are left out where the ray ends on the ground, as in the composite.
     pub ground_hides_layers: bool,
     /// Where the clear air behind is looked up; along the ray where there is none. The composite shares one direction
     /// among four pixels.

@@ -13,14 +13,15 @@ use blend::blended;
 /// What a layer itself counts for in the mean distance of what is seen, so that it is known where nothing is seen.
 pub const CLEAR_OPACITY: f64 = 1e-3;
 
-/// Marches one ray with the shaders' discretisation and blends its layers as their composite does: from the highest proxy
-/// sphere to the lowest, wherever the eye is.
+/// Marches one ray with the shaders' discretisation and blends its layers as their composite does: the farthest
+/// first.
 #[must_use]
 pub fn march_ray(world: &World, ray: &Ray, steps: &MarchSteps) -> RayResult {
     let on_ground = world.globe().ground_m(ray).is_some();
     let (mut gathered, mut evaluations) = (Vec::new(), 0);
+    let eye_m = world.globe().altitude_m(ray.origin_m);
     for layer in world.layers() {
-        if on_ground && steps.ground_hides_layers {
+        if on_ground && steps.ground_hides_layers && eye_m < layer.base_altitude_m {
             continue;
         }
         let (layer, count) = gather_layer(world, layer, ray, steps);
