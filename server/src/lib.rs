@@ -25,6 +25,7 @@ pub mod stream;
 
 pub mod api;
 pub mod doctor;
+pub mod measure;
 pub mod render_command;
 pub mod service;
 pub mod truth;
