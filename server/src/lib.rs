@@ -18,6 +18,8 @@ pub mod frame_loop;
 pub mod gpu;
 pub mod march;
 
+pub mod probe;
+
 pub mod encode;
 pub mod stream;
 

@@ -1,7 +1,8 @@
 //! `skycell-server render`: one picture from a scene file and a camera, without a server.
 
 use crate::config::{PlacedCell, RenderConfig};
-use crate::frame_loop::{StillPixels, StillRenderer};
+use crate::frame_loop::{StillPicture, StillRenderer, StillSettings};
+use crate::march::MarchSettings;
 use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use skycell_protocol::{Camera, FrameSize, RendererKind, Scene};
@@ -134,9 +135,6 @@ pub fn run(arguments: &RenderArguments) -> anyhow::Result<()> {
         None => Vec::new(),
     };
     let config = RenderConfig {
-        mip_bias: Some(arguments.mip_bias),
-        samples: arguments.samples,
-        march_steps: Some(arguments.steps),
         cache_memory_mib: 2048,
         ..RenderConfig::new(
             arguments
@@ -157,12 +155,22 @@ pub fn run(arguments: &RenderArguments) -> anyhow::Result<()> {
         "marching [{bar:30}] {percent} % {eta}",
     )?);
     let start = Instant::now();
-    let pixels = still.render(camera, size, kind, linear, |share| {
+    let settings = StillSettings {
+        renderer: kind,
+        march: MarchSettings {
+            steps: arguments.steps,
+            ..MarchSettings::default()
+        },
+        samples: arguments.samples,
+        mip_bias: arguments.mip_bias,
+        ..StillSettings::default()
+    };
+    let picture = still.render_with(camera, size, &settings, |share| {
         bar.set_position((share * 1000.0) as u64);
     })?;
     let wall_s = start.elapsed().as_secs_f64();
     bar.finish_and_clear();
-    write_picture(&arguments.out, size, pixels)?;
+    write_picture(&arguments.out, picture, linear)?;
     let totals = still.totals();
     let [cache_ns, composite_ns, screen_space_ns] = still.gpu_times_ns();
     if arguments.json {
@@ -186,24 +194,25 @@ pub fn run(arguments: &RenderArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn write_picture(path: &Path, size: FrameSize, pixels: StillPixels) -> anyhow::Result<()> {
-    let (width, height) = (size.width(), size.height());
+fn write_picture(path: &Path, picture: StillPicture, linear: bool) -> anyhow::Result<()> {
+    let (width, height) = (picture.size.width(), picture.size.height());
     let wrong = "the device gave a picture of another size";
-    let written = match pixels {
-        StillPixels::Display(bytes) => image::RgbaImage::from_raw(width, height, bytes)
-            .context(wrong)
-            .map(|picture| {
-                image::DynamicImage::ImageRgba8(picture)
-                    .to_rgb8()
-                    .save(path)
-            })?,
-        StillPixels::Linear(values) => image::Rgba32FImage::from_raw(width, height, values)
+    let written = if linear {
+        image::Rgba32FImage::from_raw(width, height, picture.linear)
             .context(wrong)
             .map(|picture| {
                 image::DynamicImage::ImageRgba32F(picture)
                     .to_rgb32f()
                     .save(path)
-            })?,
+            })?
+    } else {
+        image::RgbaImage::from_raw(width, height, picture.display)
+            .context(wrong)
+            .map(|picture| {
+                image::DynamicImage::ImageRgba8(picture)
+                    .to_rgb8()
+                    .save(path)
+            })?
     };
     written.with_context(|| format!("{} cannot be written", path.display()))
 }

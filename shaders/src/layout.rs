@@ -149,8 +149,8 @@ gpu_struct! {
         map_offset: [f32; 2],
         /// Periods of the map per metre.
         map_per_m: f32,
-        /// 0 homogeneous, 1 weather.
-        density_model: u32,
+        /// 1: the shape is the ball in the bounds, else all of them.
+        is_ball: u32,
         /// Offset into the shape noise, in periods.
         shape_offset: [f32; 3],
         /// Periods of the shape noise per metre.
@@ -185,8 +185,20 @@ gpu_struct! {
         _pad_air: [u32; 2],
         /// Mean extinction of the air up to the proxy sphere, 1/m.
         air_extinction_per_m: [f32; 3],
-        /// Padding.
-        _pad_end: f32,
+        /// A ray stops below this transmittance; 0: never.
+        transmittance_min: f32,
+        /// Lower corner of what has density without maps: x and z in the cell's frame, y an altitude, m.
+        bounds_min: [f32; 3],
+        /// 1: every step is lit, empty or not.
+        lights_empty_steps: u32,
+        /// 1 over the edges of the bounds, 1/m.
+        bounds_per_m: [f32; 3],
+        /// First slice of the layer's voxels in the texture of all.
+        grid_first_slice: u32,
+        /// Voxels along x, y and z.
+        grid_dimensions: [u32; 3],
+        /// Fills to 16 bytes.
+        pad_grid: u32,
     }
 }
 
@@ -322,7 +334,25 @@ gpu_struct! {
         layer: u32,
         /// Altitude of the position above the ground, m.
         altitude_m: f32,
-        /// Padding.
-        _pad_end: [u32; 3],
+        /// Columns of the marched pixels, where they are not the picture's.
+        marched_width: u32,
+        /// Rows of them.
+        marched_height: u32,
+        /// 1: samples stand beside the middles of pixels and steps; 0: in the middle.
+        jitter: f32,
+    }
+}
+
+gpu_struct! {
+    /// A ray of a picture that is no pinhole camera's, in the frame of its cell.
+    ListedRay {
+        /// Where it starts, m.
+        origin: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_origin: f32,
+        /// Unit vector.
+        direction: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_direction: f32,
     }
 }

@@ -24,16 +24,19 @@ pub enum Kernel {
     Composite,
     /// Physical functions evaluated at given points, for tests.
     Probe,
+    /// Functions of the scene and its cloud field evaluated at given points.
+    ProbeField,
 }
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::MarchTexels,
         Self::MarchPixels,
         Self::AuditTexels,
         Self::Composite,
         Self::Probe,
+        Self::ProbeField,
     ];
 
     /// Name of the entry point.
@@ -45,6 +48,7 @@ impl Kernel {
             Self::AuditTexels => "audit_texels",
             Self::Composite => "composite",
             Self::Probe => "probe",
+            Self::ProbeField => "probe_field",
         }
     }
 
@@ -64,8 +68,21 @@ impl Kernel {
                 include_str!("../wgsl/composite/composite.wgsl"),
             ),
             Self::Probe => ("probe/probe.wgsl", include_str!("../wgsl/probe/probe.wgsl")),
+            Self::ProbeField => ("probe/field.wgsl", include_str!("../wgsl/probe/field.wgsl")),
         }
     }
+}
+
+/// How a layer's density comes about.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Density {
+    /// A shape that is filled.
+    Homogeneous,
+    /// Maps and noise.
+    #[default]
+    Weather,
+    /// Voxels.
+    Grid,
 }
 
 /// What a kernel is specialised to.
@@ -75,14 +92,22 @@ pub struct Features {
     pub octave_vectors: u32,
     /// Layers that are composited, 0 to 4.
     pub layers: u32,
-    /// Density from maps and noise; without it a layer is homogeneous.
-    pub weather: bool,
+    /// How density comes about.
+    pub density: Density,
     /// Catmull-Rom instead of bilinear reads of the cache.
     pub catmull_rom: bool,
-    /// Linear radiance instead of tone-mapped bytes.
+    /// Linear radiance instead of tone-mapped bytes; nothing is shared between pixels.
     pub linear_output: bool,
     /// Composite of marched pixels instead of cached texels.
     pub screen_space: bool,
+    /// Maps, noise and voxels are interpolated in f32 instead of by the sampler's few bits.
+    pub exact_interpolation: bool,
+    /// Texture reads of the march are counted.
+    pub count_reads: bool,
+    /// Rays come from a list instead of a pinhole camera (screen-space renderer).
+    pub ray_list: bool,
+    /// Marched pixels are fewer than the picture's (screen-space renderer).
+    pub upsample: bool,
 }
 
 impl Default for Features {
@@ -90,25 +115,35 @@ impl Default for Features {
         Self {
             octave_vectors: 1,
             layers: 1,
-            weather: true,
+            density: Density::Weather,
             catmull_rom: true,
             linear_output: false,
             screen_space: false,
+            exact_interpolation: false,
+            count_reads: false,
+            ray_list: false,
+            upsample: false,
         }
     }
 }
 
 impl Features {
-    /// Every value of every feature: octave vectors and layers, which no kernel reads both, step together.
+    /// Every value of every feature, and every pair of those that meet in one function: octave vectors and layers, which
+    /// no kernel reads both, step together, and so do features of the march and of the composite.
     pub fn all() -> impl Iterator<Item = Self> {
-        (0..=4u32).flat_map(|count| {
+        let densities = [Density::Homogeneous, Density::Weather, Density::Grid];
+        (0..=4u32).flat_map(move |count| {
             (0..16u32).map(move |bits| Self {
                 octave_vectors: count.max(1),
                 layers: count,
-                weather: bits & 1 != 0,
-                catmull_rom: bits & 2 != 0,
-                linear_output: bits & 4 != 0,
-                screen_space: bits & 8 != 0,
+                density: densities[((bits + count) % 3) as usize],
+                catmull_rom: bits & 1 != 0,
+                exact_interpolation: bits & 1 != 0,
+                linear_output: bits & 2 != 0,
+                count_reads: bits & 2 != 0,
+                screen_space: bits & 4 != 0,
+                ray_list: bits & 12 == 4,
+                upsample: bits & 12 == 12,
             })
         })
     }
@@ -125,10 +160,15 @@ impl Features {
             ),
         ]);
         for (name, set) in [
-            ("DENSITY_WEATHER", self.weather),
+            ("DENSITY_WEATHER", self.density == Density::Weather),
+            ("DENSITY_GRID", self.density == Density::Grid),
             ("CATMULL_ROM", self.catmull_rom),
             ("LINEAR_OUTPUT", self.linear_output),
             ("SCREEN_SPACE", self.screen_space),
+            ("EXACT_INTERPOLATION", self.exact_interpolation),
+            ("COUNT_READS", self.count_reads),
+            ("RAY_LIST", self.ray_list),
+            ("UPSAMPLE", self.upsample),
         ] {
             if set {
                 definitions.insert(name.to_owned(), ShaderDefValue::Bool(true));
@@ -162,6 +202,10 @@ const MODULES: &[(&str, &str)] = &[
     (
         "march/texel_ray.wgsl",
         include_str!("../wgsl/march/texel_ray.wgsl"),
+    ),
+    (
+        "march/accumulate.wgsl",
+        include_str!("../wgsl/march/accumulate.wgsl"),
     ),
     (
         "sky/analytic.wgsl",

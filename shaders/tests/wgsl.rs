@@ -68,4 +68,5 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::Reference>(Kernel::MarchTexels);
     check::<layout::PageTable>(Kernel::Composite);
     check::<layout::View>(Kernel::Composite);
+    check::<layout::ListedRay>(Kernel::MarchPixels);
 }

@@ -10,13 +10,7 @@ fn main() -> anyhow::Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let number = |i: usize, default: u32| args.get(i).map_or(Ok(default), |a| a.parse());
     let size = FrameSize::new(number(0, 640)?, number(1, 360)?)?;
-    let screen = Recipe {
-        renderer: RendererKind::ScreenSpace,
-        samples: 8,
-        mip_bias: 0.0,
-        march_steps: 128,
-        filter: FrameFilter::CatmullRom,
-    };
+    let screen = Recipe::screen_space();
     let cached = Recipe {
         renderer: RendererKind::Cached,
         ..screen

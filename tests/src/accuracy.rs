@@ -4,12 +4,13 @@
 //! the products of a window without dividing by its area, which weighs faint noise 64 times too much). A test compares it
 //! with scikit-image.
 
+use crate::server::target_dir;
 use anyhow::Context;
 use image::{GrayImage, RgbImage};
 use skycell_protocol::{Camera, FrameSize, RendererKind};
 use skycell_server::config::{FrameFilter, RenderConfig};
-use skycell_server::frame_loop::{StillPixels, StillRenderer};
-use std::path::PathBuf;
+use skycell_server::frame_loop::{StillRenderer, StillSettings};
+use skycell_server::march::MarchSettings;
 use std::sync::Arc;
 
 /// How far a picture is from a reference.
@@ -119,26 +120,45 @@ pub struct Recipe {
     pub filter: FrameFilter,
 }
 
+impl Recipe {
+    /// The baseline: eight samples a pixel, 128 steps, no cache.
+    #[must_use]
+    pub fn screen_space() -> Self {
+        Self {
+            renderer: RendererKind::ScreenSpace,
+            samples: 8,
+            mip_bias: 0.0,
+            march_steps: 128,
+            filter: FrameFilter::CatmullRom,
+        }
+    }
+}
+
 /// A picture of the default scene from the default camera's place, looking 25° up, with how many texels were updated.
 ///
 /// # Errors
 /// When there is no device that renders it.
 pub fn picture(recipe: Recipe, size: FrameSize) -> anyhow::Result<(RgbImage, u64)> {
-    let mut config = RenderConfig::new(
-        PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/noise-of-tests"),
-    );
-    config.samples = recipe.samples;
-    config.march_steps = Some(recipe.march_steps);
-    config.mip_bias = Some(recipe.mip_bias);
-    config.frame_filter = Some(recipe.filter);
+    let mut config = RenderConfig::new(target_dir()?.join("noise-of-tests"));
     config.cache_memory_mib = 1024;
     let mut still = StillRenderer::new(config, Arc::default(), &[])?;
     let camera = Camera::new([0.0, 2.0, 0.0], 0.0, 25.0, 60.0)?;
-    let StillPixels::Display(bytes) = still.render(camera, size, recipe.renderer, false, |_| {})?
-    else {
-        anyhow::bail!("asked for a picture of bytes");
+    let settings = StillSettings {
+        renderer: recipe.renderer,
+        march: MarchSettings {
+            steps: recipe.march_steps,
+            ..MarchSettings::default()
+        },
+        samples: recipe.samples,
+        mip_bias: recipe.mip_bias,
+        filter: recipe.filter,
+        ..StillSettings::default()
     };
-    let rgb = bytes.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]);
+    let made = still.render_with(camera, size, &settings, |_| {})?;
+    let rgb = made
+        .display
+        .chunks_exact(4)
+        .flat_map(|p| [p[0], p[1], p[2]]);
     let picture = RgbImage::from_raw(size.width(), size.height(), rgb.collect())
         .context("a picture has all of its rows")?;
     Ok((picture, still.totals().texels_updated))

@@ -1,7 +1,6 @@
 //! The cached renderer against the screen-space renderer: same scene, same place, same samples.
 
 use skycell_protocol::{FrameSize, RendererKind};
-use skycell_server::config::FrameFilter;
 use skycell_tests::accuracy::{Distance, Recipe, distance, picture};
 
 /// The first column of table 1 in Weinrauch et al., "Clouds in the Cloud", 2023.
@@ -12,13 +11,7 @@ const SSIM_MIN: f64 = 0.998;
 /// The cache with each mip bias against the screen-space renderer, 1280x720, 8 samples.
 fn compare(mip_biases: &[f32]) -> anyhow::Result<Vec<Distance>> {
     let size = FrameSize::new(1280, 720)?;
-    let screen = Recipe {
-        renderer: RendererKind::ScreenSpace,
-        samples: 8,
-        mip_bias: 0.0,
-        march_steps: 128,
-        filter: FrameFilter::CatmullRom,
-    };
+    let screen = Recipe::screen_space();
     let (reference, _) = picture(screen, size)?;
     mip_biases
         .iter()

@@ -3,107 +3,25 @@
 
 use std::f64::consts::{FRAC_PI_4, PI};
 
-use skycell_server::gpu::Gpu;
-use skycell_shaders::{Features, Kernel};
+use skycell_server::probe::{FunctionProbe, FunctionQuestion as Question};
 
 /// Half a unit in the last place of 1 in f32: the largest relative error of one rounding.
 const U: f64 = 1.0 / (1u64 << 24) as f64;
 
-/// The probe kernel's questions.
-#[derive(Clone, Copy)]
-enum Question {
-    Altitude = 0,
-    ShellRoots = 1,
-    OctahedralRoundTrip = 2,
-    DirectionFromOctahedral = 3,
-    Phase = 4,
-    OneMinusExpOver = 5,
-    Srgb = 6,
-}
-
 type Point = [[f32; 4]; 2];
 
-struct Probe {
-    gpu: Gpu,
-    pipeline: wgpu::ComputePipeline,
-}
+/// The device, for tests of at least ten thousand points.
+struct Probe(FunctionProbe);
 
 impl Probe {
     fn open() -> Self {
-        let gpu = Gpu::open_blocking().expect("a device");
-        let module =
-            skycell_shaders::compose(Kernel::Probe, Features::default()).expect("composes");
-        let shader = gpu
-            .device
-            .create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some("probe"),
-                source: wgpu::ShaderSource::Naga(std::borrow::Cow::Owned(module)),
-            });
-        let pipeline = gpu
-            .device
-            .create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some("probe"),
-                layout: None,
-                module: &shader,
-                entry_point: Some(Kernel::Probe.entry_point()),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                cache: None,
-            });
-        Self { gpu, pipeline }
+        Self(FunctionProbe::open().expect("a device"))
     }
 
     fn ask(&self, question: Question, points: &[Point]) -> Vec<[f32; 4]> {
-        assert!(
-            points.len() >= 10_000,
-            "{} points are too few",
-            points.len()
-        );
-        let device = &self.gpu.device;
-        let buffer = |bytes: u64, usage| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: None,
-                size: bytes,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
-        use wgpu::BufferUsages as Usage;
-        let value_bytes = points.len() as u64 * 16;
-        let input = buffer(value_bytes * 2, Usage::STORAGE | Usage::COPY_DST);
-        let values = buffer(value_bytes, Usage::STORAGE | Usage::COPY_SRC);
-        let uniform = buffer(16, Usage::UNIFORM | Usage::COPY_DST);
-        let read = buffer(value_bytes, Usage::MAP_READ | Usage::COPY_DST);
-        let queue = &self.gpu.queue;
-        queue.write_buffer(&input, 0, bytemuck::cast_slice(points));
-        let asked = [question as u32, points.len() as u32, 0, 0];
-        queue.write_buffer(&uniform, 0, bytemuck::cast_slice(&asked));
-        let entries = [&input, &values, &uniform];
-        let entries: Vec<_> = (0..)
-            .zip(entries)
-            .map(|(binding, buffer)| wgpu::BindGroupEntry {
-                binding,
-                resource: buffer.as_entire_binding(),
-            })
-            .collect();
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout: &self.pipeline.get_bind_group_layout(0),
-            entries: &entries,
-        });
-        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            pass.set_pipeline(&self.pipeline);
-            pass.set_bind_group(0, &group, &[]);
-            pass.dispatch_workgroups((points.len() as u32).div_ceil(64), 1, 1);
-        }
-        encoder.copy_buffer_to_buffer(&values, 0, &read, 0, value_bytes);
-        queue.submit([encoder.finish()]);
-        read.slice(..)
-            .map_async(wgpu::MapMode::Read, |mapped| mapped.expect("mapped"));
-        self.gpu.wait().expect("done");
-        let range = read.slice(..).get_mapped_range().expect("mapped");
-        bytemuck::cast_slice(&range).to_vec()
+        let count = points.len();
+        assert!(count >= 10_000, "{count} points are too few");
+        self.0.ask(question, points).expect("values")
     }
 }
 

@@ -208,6 +208,11 @@ impl Caches {
         false
     }
 
+    /// Another number of samples that a texel averages.
+    pub fn set_samples(&mut self, samples: u32) {
+        self.samples = samples.max(1);
+    }
+
     /// Samples that a texel averages.
     #[must_use]
     pub fn samples(&self) -> u32 {

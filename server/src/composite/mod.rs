@@ -6,7 +6,7 @@ use crate::gpu::{Gpu, PipelineKey, Pipelines, TimedPass, TimingRing};
 use crate::march::CellFrame;
 use glam::DVec3;
 use skycell_protocol::{Camera, FrameSize};
-use skycell_shaders::{Features, Kernel, layout};
+use skycell_shaders::{Density, Features, Kernel, layout};
 
 /// What a composite is specialised to.
 #[must_use]
@@ -21,10 +21,11 @@ pub fn composite_key(
         features: Features {
             octave_vectors: 1,
             layers: layers as u32,
-            weather: false,
+            density: Density::Homogeneous,
             catmull_rom: !screen_space && filter == FrameFilter::CatmullRom,
             linear_output,
             screen_space,
+            ..Features::default()
         },
     }
 }
@@ -56,6 +57,9 @@ pub fn view_uniform(frustum: &ViewFrustum, frame: &CellFrame, size: FrameSize) -
         up: f32s(frustum.up),
         pixel_angle_rad: frustum.pixel_angle_rad as f32,
         altitude_m: frame.altitude_m(frustum.position) as f32,
+        marched_width: size.width(),
+        marched_height: size.height(),
+        jitter: 1.0,
         ..Default::default()
     }
 }
@@ -67,6 +71,7 @@ pub fn ground_key(key: PipelineKey) -> PipelineKey {
         features: Features {
             layers: 0,
             catmull_rom: false,
+            upsample: false,
             ..key.features
         },
         ..key
@@ -117,8 +122,8 @@ pub struct CompositeInputs<'a> {
     pub layers: &'a wgpu::BindGroup,
     /// The viewer's camera.
     pub view: &'a layout::View,
-    /// Radius of the planet, m.
-    pub planet_radius_m: f64,
+    /// Radius of the ground, m, where there is one.
+    pub ground_radius_m: Option<f64>,
 }
 
 /// Where a viewer's picture is written.
@@ -140,7 +145,12 @@ struct Part {
 }
 
 impl Part {
-    fn new(gpu: &Gpu, pipelines: &Pipelines, pixels: &wgpu::Buffer) -> Self {
+    fn new(
+        gpu: &Gpu,
+        pipelines: &Pipelines,
+        pixels: &wgpu::Buffer,
+        rays: Option<&wgpu::Buffer>,
+    ) -> Self {
         let view = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("view"),
             size: size_of::<layout::View>() as u64,
@@ -159,6 +169,10 @@ impl Part {
                     binding: 1,
                     resource: pixels.as_entire_binding(),
                 },
+                wgpu::BindGroupEntry {
+                    binding: 2,
+                    resource: rays.unwrap_or(&pipelines.no_rays).as_entire_binding(),
+                },
             ],
         });
         Self { view, group }
@@ -169,6 +183,18 @@ impl Picture {
     /// A picture of bytes, or of linear radiance (16 bytes a pixel).
     #[must_use]
     pub fn new(gpu: &Gpu, pipelines: &Pipelines, size: FrameSize, linear: bool) -> Self {
+        Self::with_rays(gpu, pipelines, size, linear, None)
+    }
+
+    /// A picture of listed rays, if there are any.
+    #[must_use]
+    pub fn with_rays(
+        gpu: &Gpu,
+        pipelines: &Pipelines,
+        size: FrameSize,
+        linear: bool,
+        rays: Option<&wgpu::Buffer>,
+    ) -> Self {
         let bytes = u64::from(size.pixels()) * if linear { 16 } else { 4 };
         let pixels = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("picture"),
@@ -177,8 +203,8 @@ impl Picture {
             mapped_at_creation: false,
         });
         Self {
-            sky: Part::new(gpu, pipelines, &pixels),
-            ground: Part::new(gpu, pipelines, &pixels),
+            sky: Part::new(gpu, pipelines, &pixels, rays),
+            ground: Part::new(gpu, pipelines, &pixels, rays),
             pixels,
             size,
         }
@@ -211,10 +237,14 @@ impl Picture {
         ) else {
             return;
         };
-        let (height, ground_row) = (
-            self.size.height(),
-            first_ground_row(inputs.view, inputs.planet_radius_m),
-        );
+        let height = self.size.height();
+        // Listed rays have no rows that the horizon could lie between.
+        let ground_row = match inputs.ground_radius_m {
+            Some(radius_m) if !inputs.key.features.ray_list => {
+                first_ground_row(inputs.view, radius_m)
+            }
+            _ => height,
+        };
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("composite"),
             timestamp_writes: timing.pass(TimedPass::Composite, 1),

@@ -8,7 +8,7 @@ mod tests;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use skycell_protocol::camera::{POSITION_ALTITUDE_M, POSITION_HORIZONTAL_M};
 use skycell_protocol::number_range::NumberRange;
@@ -77,10 +77,12 @@ pub struct RenderConfig {
     pub frame_filter: Option<FrameFilter>,
     /// Where noise volumes are kept between runs.
     pub noise_cache_dir: PathBuf,
+    /// Where the files of voxels lie that scenes name: `grids` in the folder of the state.
+    pub grids_dir: PathBuf,
 }
 
 /// How caches are read for a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FrameFilter {
     /// Sharp, 16 texels.
@@ -109,6 +111,7 @@ impl RenderConfig {
             cache_memory_mib: 256,
             march_steps: None,
             frame_filter: None,
+            grids_dir: noise_cache_dir.join("grids"),
             noise_cache_dir,
         }
     }
@@ -145,6 +148,7 @@ impl RenderConfig {
             noise_cache_dir: members
                 .optional::<String>("noise_cache_dir")?
                 .map_or(default.noise_cache_dir, PathBuf::from),
+            grids_dir: default.grids_dir,
         })
     }
 }
@@ -215,7 +219,10 @@ impl Config {
             viewer_stall_s: 30.0,
             allowed_origins: Vec::new(),
             log: "info".to_owned(),
-            render: RenderConfig::new(state_dir.join("cache")),
+            render: RenderConfig {
+                grids_dir: state_dir.join("grids"),
+                ..RenderConfig::new(state_dir.join("cache"))
+            },
             cells: Vec::new(),
             state_dir,
         }

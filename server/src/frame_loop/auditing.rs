@@ -166,7 +166,7 @@ impl SkyRenderer {
             &self.atlas,
             &AuditGroup {
                 cell: &cell.buffers,
-                features: layer_features(&self.scene, scene_index),
+                features: layer_features(&self.scene, scene_index, &self.settings),
                 scene: &scene,
                 work,
             },

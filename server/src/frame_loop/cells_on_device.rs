@@ -4,7 +4,7 @@ use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
 use crate::composite::view_frustum;
-use crate::march::{CellBuffers, CellFrame, MarchSettings, scene_uniform};
+use crate::march::{CellBuffers, CellFrame, scene_uniform};
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, RendererKind, ViewerId};
 use std::time::{Duration, Instant};
@@ -168,9 +168,7 @@ impl SkyRenderer {
             &self.scene,
             &self.active,
             &self.light,
-            MarchSettings {
-                steps: self.march_steps,
-            },
+            self.settings,
             &cell.frame,
             &self.drifts,
             &anchors,

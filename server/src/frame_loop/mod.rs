@@ -10,7 +10,11 @@ mod renderer;
 mod screen_space;
 mod stats;
 mod still;
+mod still_settings;
 mod viewers_on_device;
 
 pub use pacing::FrameLoop;
-pub use still::{StillPixels, StillRenderer};
+pub use still::StillRenderer;
+pub use still_settings::{
+    LayerFigures, RayFigures, RayPicture, StillFigures, StillPicture, StillRay, StillSettings,
+};

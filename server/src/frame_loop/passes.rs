@@ -9,12 +9,17 @@ use crate::composite::{CompositeInputs, Picture, composite_key};
 use crate::gpu::{GpuError, PipelineKey, TimedPass};
 use crate::march::{BATCH_TILES_MAX, MarchedPixels, PixelStrip, TexelGroup, layer_features};
 use glam::DVec3;
-use skycell_protocol::{CellId, FrameSequence, RendererKind, ViewerId};
+use skycell_protocol::{CellId, FrameSequence, RendererKind, Scene, ViewerId};
 use skycell_shaders::{Features, layout};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
+
+/// Radius of the ground, where there is one.
+fn ground_radius_m(scene: &Scene) -> Option<f64> {
+    (!scene.planet().is_flat()).then(|| scene.planet().radius_m())
+}
 
 impl SkyRenderer {
     /// Marches at most `tiles_max` tiles and returns what was marched. The tiles are shown from the next refresh on.
@@ -44,7 +49,7 @@ impl SkyRenderer {
                 let scene_index = self.active.get(sphere.layer as usize)?.scene_index;
                 Some(TexelGroup {
                     cell: &self.active_cells.get(&sphere.cell)?.buffers,
-                    features: layer_features(&self.scene, scene_index),
+                    features: layer_features(&self.scene, scene_index, &self.settings),
                     layer: sphere.layer,
                     updates,
                 })
@@ -224,7 +229,7 @@ impl SkyRenderer {
                 scene: &cell.buffers.scene_group,
                 layers: &layers,
                 view: &view,
-                planet_radius_m: self.scene.planet().radius_m(),
+                ground_radius_m: ground_radius_m(&self.scene),
             },
         );
         self.counters.dispatches += 1;
@@ -269,7 +274,7 @@ impl SkyRenderer {
                 scene: &cell.buffers.scene_group,
                 layers: &layers,
                 view: &view,
-                planet_radius_m: self.scene.planet().radius_m(),
+                ground_radius_m: ground_radius_m(&self.scene),
             },
         );
         self.timing.resolve(&mut encoder);

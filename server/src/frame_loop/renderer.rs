@@ -12,8 +12,8 @@ use crate::config::{FrameFilter, PlacedCell, RenderConfig};
 use crate::field::FieldStore;
 use crate::gpu::{FieldTextures, Gpu, GpuError, Pipelines, TimingRing};
 use crate::march::{
-    ActiveLayer, Atlas, SkyLight, TexelMarch, active_layers, audit_key, layer_features, pixels_key,
-    sky_light, texels_key,
+    ActiveLayer, Atlas, MarchSettings, SkyLight, TexelMarch, active_layers, audit_key,
+    layer_features, pixels_key, sky_light, texels_key,
 };
 use glam::DVec3;
 use skycell_protocol::scene::DensityModel;
@@ -50,7 +50,10 @@ pub(super) struct SkyRenderer {
     /// As configured, or as suits the adapter.
     pub(super) frame_filter: FrameFilter,
     pub(super) mip_bias: f64,
-    pub(super) march_steps: u32,
+    /// How rays are marched.
+    pub(super) settings: MarchSettings,
+    /// Halvings of the screen-space renderer's resolution as a divisor: 1, 2 or 4.
+    pub(super) resolution_divisor: u32,
     pub(super) scene: Arc<Scene>,
     pub(super) scene_revision: u64,
     pub(super) active: Vec<ActiveLayer>,
@@ -101,9 +104,13 @@ impl SkyRenderer {
             mip_bias: config
                 .mip_bias
                 .map_or(if gpu.is_software() { 1.0 } else { 0.0 }, f64::from),
-            march_steps: config
-                .march_steps
-                .unwrap_or(if gpu.is_software() { 64 } else { 128 }),
+            settings: MarchSettings {
+                steps: config
+                    .march_steps
+                    .unwrap_or(if gpu.is_software() { 64 } else { 128 }),
+                ..MarchSettings::default()
+            },
+            resolution_divisor: 1,
             gpu,
             pipelines,
             field,
@@ -123,15 +130,24 @@ impl SkyRenderer {
             keys.extend([key, ground_key(key)]);
         }
         for layer in &active {
-            let features = layer_features(&scene, layer.scene_index);
+            let features = layer_features(&scene, layer.scene_index, &self.settings);
             keys.extend([
                 texels_key(features),
-                pixels_key(features),
+                pixels_key(features, false),
                 audit_key(features),
             ]);
         }
         for key in keys {
             self.pipelines.prepare(&self.gpu, key)?;
+        }
+        let layout = &self.pipelines.field_layout;
+        if self
+            .field
+            .set_grids(&self.gpu, layout, &scene, &self.config.grids_dir)
+        {
+            for cell in self.active_cells.values_mut() {
+                cell.buffers.set_field_group(&self.field.bind_group);
+            }
         }
         for (place, layer) in (0..).zip(&active) {
             if let DensityModel::Weather(weather) = scene.layers()[layer.scene_index].density() {

@@ -4,7 +4,7 @@
 use super::renderer::SkyRenderer;
 use crate::gpu::TimedPass;
 use crate::march::{MarchedPixels, layer_features};
-use skycell_protocol::{RendererKind, ViewerId};
+use skycell_protocol::{FrameSize, RendererKind, ViewerId};
 use skycell_shaders::layout;
 
 /// A picture that is being marched.
@@ -18,10 +18,37 @@ pub(super) struct ScreenSpaceJob {
     row: u32,
 }
 
+/// A picture's size divided, rounded up.
+fn reduced(size: FrameSize, divisor: u32) -> FrameSize {
+    let divisor = divisor.max(1);
+    // Not larger than what was a size before.
+    FrameSize::new(
+        size.width().div_ceil(divisor),
+        size.height().div_ceil(divisor),
+    )
+    .unwrap_or(size)
+}
+
 /// Rows of the first strip, before any was measured.
 const FIRST_ROWS: u32 = 16;
 
 impl ScreenSpaceJob {
+    /// A picture of which nothing is marched yet. `view` is that of the picture; rays are as many as its pixels.
+    pub(super) fn new(marched: MarchedPixels, view: layout::View) -> Self {
+        let size = marched.size();
+        Self {
+            view: layout::View {
+                marched_width: size.width(),
+                marched_height: size.height(),
+                ..view
+            },
+            marched,
+            sample: 0,
+            layer: 0,
+            row: 0,
+        }
+    }
+
     pub(super) fn marched(&self) -> &MarchedPixels {
         &self.marched
     }
@@ -69,18 +96,10 @@ impl SkyRenderer {
         if viewer.screen_space.is_none()
             && let Some(view) = self.view_of(&viewer)
         {
-            viewer.screen_space = Some(ScreenSpaceJob {
-                marched: MarchedPixels::new(
-                    &self.gpu,
-                    &self.pipelines,
-                    viewer.view.size,
-                    self.active.len(),
-                ),
-                view,
-                sample: 0,
-                layer: 0,
-                row: 0,
-            });
+            let size = reduced(viewer.view.size, self.resolution_divisor);
+            let layers = self.active.len();
+            let marched = MarchedPixels::new(&self.gpu, &self.pipelines, size, layers, None);
+            viewer.screen_space = Some(ScreenSpaceJob::new(marched, view));
         }
         let mut complete = false;
         if let Some(job) = &mut viewer.screen_space {
@@ -113,8 +132,11 @@ impl SkyRenderer {
         let left = size.height() - job.row;
         let rows = rows.next_multiple_of(8).clamp(8, left.max(8)).min(left);
         let scene_index = self.active[job.layer as usize].scene_index;
-        let features = layer_features(&self.scene, scene_index);
+        let features = layer_features(&self.scene, scene_index, &self.settings);
         let mut view = job.view;
+        view.width = size.width();
+        view.height = size.height();
+        view.jitter = f32::from(u8::from(self.settings.jitter));
         view.first_row = job.row;
         view.layer = job.layer;
         view.sample_index = job.sample;

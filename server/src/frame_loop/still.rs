@@ -2,11 +2,19 @@
 
 use super::interface::{RenderTotals, ViewRequest};
 use super::renderer::SkyRenderer;
+use super::screen_space::ScreenSpaceJob;
+use super::still_settings::{LayerFigures, RayFigures, RayPicture};
+use super::still_settings::{StillFigures, StillPicture, StillSettings};
+use crate::cells::Cells;
 use crate::composite::{Picture, composite_key, ground_key};
 use crate::config::{PlacedCell, RenderConfig};
-use crate::gpu::{Gpu, GpuError, TimedPass, read_buffer_blocking};
+use crate::gpu::{Gpu, GpuError, PipelineKey, TimedPass, read_buffer_blocking};
+use crate::march::{LISTED_VALUES, MarchedPixels, layer_features, pixels_key};
+use glam::DVec3;
 use skycell_protocol::{Camera, Codec, FrameSize, RendererKind, Scene, ViewerId};
+use skycell_shaders::{Features, layout};
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Tiles marched between two reports of progress.
 const BATCH_TILES: usize = 32;
@@ -15,18 +23,10 @@ const STRIP_NS: u64 = 400_000_000;
 /// The only viewer.
 const VIEWER: ViewerId = ViewerId(1);
 
-/// A finished picture.
-#[derive(Clone, Debug, PartialEq)]
-pub enum StillPixels {
-    /// Tone-mapped sRGB, 4 bytes a pixel.
-    Display(Vec<u8>),
-    /// Linear radiance per W/(m² nm) of the sun's spectrum, 4 floats a pixel.
-    Linear(Vec<f32>),
-}
-
 /// Renders single pictures of one scene.
 pub struct StillRenderer {
     renderer: SkyRenderer,
+    placed: Vec<PlacedCell>,
 }
 
 impl StillRenderer {
@@ -42,6 +42,7 @@ impl StillRenderer {
         let gpu = Gpu::open_blocking()?;
         Ok(Self {
             renderer: SkyRenderer::new(gpu, config, scene, 1, placed)?,
+            placed: placed.to_vec(),
         })
     }
 
@@ -72,20 +73,155 @@ impl StillRenderer {
         self.renderer.stats(0.0).totals
     }
 
+    /// The scene.
+    #[must_use]
+    pub fn scene(&self) -> &Arc<Scene> {
+        &self.renderer.scene
+    }
+
+    /// Whether the device is the processor.
+    #[must_use]
+    pub fn is_software(&self) -> bool {
+        self.renderer.gpu.is_software()
+    }
+
     /// Renders a picture; `progress` gets the share that is done.
     ///
     /// # Errors
     /// When the device is lost or the picture does not fit on it.
-    pub fn render(
+    pub fn render_with(
         &mut self,
         camera: Camera,
         size: FrameSize,
-        kind: RendererKind,
-        linear: bool,
-        mut progress: impl FnMut(f64),
-    ) -> Result<StillPixels, GpuError> {
+        settings: &StillSettings,
+        progress: impl FnMut(f64),
+    ) -> Result<StillPicture, GpuError> {
+        let start = Start::of(self, settings)?;
+        let screen_space = self.join(camera, size, settings);
+        self.prepare_composites(screen_space, settings, false)?;
+        self.renderer.refresh_cells();
+        self.march_all(screen_space, progress)?;
+        let (display, linear) = self.composites(size, screen_space, settings)?;
+        Ok(StillPicture {
+            size,
+            display,
+            linear,
+            figures: start.figures(self)?,
+        })
+    }
+
+    /// Marches listed rays with the screen-space renderer; `progress` gets the share that is done.
+    ///
+    /// # Errors
+    /// When the device is lost or the rays do not fit on it.
+    pub fn render_rays(
+        &mut self,
+        list: &RayPicture,
+        settings: &StillSettings,
+        progress: impl FnMut(f64),
+    ) -> Result<RayFigures, GpuError> {
+        let settings = &StillSettings {
+            renderer: RendererKind::ScreenSpace,
+            resolution_divisor: 1,
+            ..*settings
+        };
+        if list.rays.len() != list.size.pixels() as usize {
+            return Err(GpuError::Device("as many rays as pixels".into()));
+        }
+        let start = Start::of(self, settings)?;
+        let [x, _, z] = list.frame_m.to_array();
+        let at_frame = Camera::new([x, 0.0, z], 0.0, 0.0, 60.0)
+            .map_err(|error| GpuError::Device(error.to_string()))?;
+        self.join(at_frame, list.size, settings);
+        let renderer = &mut self.renderer;
+        for layer in &renderer.active {
+            let features = layer_features(&renderer.scene, layer.scene_index, &renderer.settings);
+            let key = pixels_key(features, true);
+            renderer.pipelines.prepare(&renderer.gpu, key)?;
+        }
+        self.prepare_composites(true, settings, true)?;
+        let renderer = &mut self.renderer;
+        renderer.refresh_cells();
+        let f32s = |v: DVec3| v.as_vec3().to_array();
+        let listed: Vec<layout::ListedRay> = list
+            .rays
+            .iter()
+            .map(|ray| layout::ListedRay {
+                origin: f32s(ray.origin_m),
+                direction: f32s(ray.direction),
+                ..Default::default()
+            })
+            .collect();
+        let layers = renderer.active.len();
+        let marched = MarchedPixels::new(
+            &renderer.gpu,
+            &renderer.pipelines,
+            list.size,
+            layers,
+            Some(&listed),
+        );
+        let gone = || GpuError::Device("the viewer of the rays is gone".into());
+        let viewer = renderer.viewers.get(&VIEWER).ok_or_else(gone)?;
+        let view = layout::View {
+            right: f32s(list.pixel_m[0]),
+            up: f32s(-list.pixel_m[1]),
+            ..renderer.view_of(viewer).ok_or_else(gone)?
+        };
+        let viewer = renderer.viewers.get_mut(&VIEWER).ok_or_else(gone)?;
+        viewer.screen_space = Some(ScreenSpaceJob::new(marched, view));
+        self.march_all(true, progress)?;
+        let (display, linear) = self.composites(list.size, true, settings)?;
+        let renderer = &self.renderer;
+        let viewer = renderer.viewers.get(&VIEWER).ok_or_else(gone)?;
+        let job = viewer.screen_space.as_ref().ok_or_else(gone)?;
+        let values: Vec<f32> = if layers == 0 {
+            Vec::new()
+        } else {
+            let bytes = read_buffer_blocking(&renderer.gpu, job.marched().values())?;
+            bytemuck::pod_collect_to_vec(&bytes)
+        };
+        let found: Vec<LayerFigures> = values
+            .chunks_exact(LISTED_VALUES)
+            .map(|v| LayerFigures {
+                single: v[0],
+                octaves: v[1],
+                ambient: v[2],
+                transmittance: v[3],
+                opacity_distance_m: v[4],
+                steps: v[5],
+                optical_depth: v[6],
+            })
+            .collect();
+        Ok(RayFigures {
+            radiance: linear.chunks_exact(4).map(|p| [p[0], p[1], p[2]]).collect(),
+            layers: found
+                .chunks_exact(list.rays.len())
+                .map(<[LayerFigures]>::to_vec)
+                .collect(),
+            picture: StillPicture {
+                size: list.size,
+                display,
+                linear,
+                figures: start.figures(self)?,
+            },
+        })
+    }
+
+    /// Makes the only viewer anew; true when it gets rays of its own: a camera in or above the clouds always does.
+    fn join(&mut self, camera: Camera, size: FrameSize, settings: &StillSettings) -> bool {
         let renderer = &mut self.renderer;
         renderer.leave(VIEWER);
+        renderer.cells = if settings.reference_offset_m == [0.0; 3] {
+            Cells::new(&self.placed)
+        } else {
+            let [x, y, z] = camera.position_m();
+            let [dx, dy, dz] = settings.reference_offset_m;
+            Cells::new(&[PlacedCell {
+                name: "reference".into(),
+                center_m: [x + dx, y + dy, z + dz],
+                radius_m: 1.0e6,
+            }])
+        };
         renderer.join(
             VIEWER,
             ViewRequest {
@@ -94,19 +230,65 @@ impl StillRenderer {
                 codec: Codec::Png,
                 jpeg_quality: 100,
                 camera,
-                renderer: kind,
+                renderer: settings.renderer,
             },
         );
-        let filter = renderer.frame_filter;
-        // A camera in or above the clouds is rendered with rays of its own, whatever was asked for.
-        let screen_space = renderer
+        renderer
             .viewers
             .get(&VIEWER)
-            .is_some_and(|viewer| viewer.kind == RendererKind::ScreenSpace);
-        let key = composite_key(filter, renderer.active.len(), screen_space, linear);
-        renderer.pipelines.prepare(&renderer.gpu, key)?;
-        renderer.pipelines.prepare(&renderer.gpu, ground_key(key))?;
-        renderer.refresh_cells();
+            .is_some_and(|viewer| viewer.kind == RendererKind::ScreenSpace)
+    }
+
+    fn composite_keys(&self, screen_space: bool, settings: &StillSettings) -> [PipelineKey; 2] {
+        let ray_list = self
+            .renderer
+            .viewers
+            .get(&VIEWER)
+            .and_then(|viewer| viewer.screen_space.as_ref())
+            .is_some_and(|job| job.marched().rays().is_some());
+        self.composite_keys_for(screen_space, settings, ray_list)
+    }
+
+    fn composite_keys_for(
+        &self,
+        screen_space: bool,
+        settings: &StillSettings,
+        ray_list: bool,
+    ) -> [PipelineKey; 2] {
+        [false, true].map(|linear| {
+            let layers = self.renderer.active.len();
+            let key = composite_key(settings.filter, layers, screen_space, linear);
+            PipelineKey {
+                features: Features {
+                    ray_list,
+                    upsample: screen_space && settings.resolution_divisor > 1,
+                    ..key.features
+                },
+                ..key
+            }
+        })
+    }
+
+    fn prepare_composites(
+        &mut self,
+        screen_space: bool,
+        settings: &StillSettings,
+        ray_list: bool,
+    ) -> Result<(), GpuError> {
+        for key in self.composite_keys_for(screen_space, settings, ray_list) {
+            let renderer = &mut self.renderer;
+            renderer.pipelines.prepare(&renderer.gpu, key)?;
+            renderer.pipelines.prepare(&renderer.gpu, ground_key(key))?;
+        }
+        Ok(())
+    }
+
+    fn march_all(
+        &mut self,
+        screen_space: bool,
+        mut progress: impl FnMut(f64),
+    ) -> Result<(), GpuError> {
+        let renderer = &mut self.renderer;
         if screen_space {
             let samples = f64::from(renderer.config.samples);
             let mut done = 0.0;
@@ -128,14 +310,32 @@ impl StillRenderer {
             }
         }
         renderer.refresh_cells();
-        let picture = Picture::new(&renderer.gpu, &renderer.pipelines, size, linear);
-        renderer.composite_still(VIEWER, &picture, key)?;
-        let bytes = read_buffer_blocking(&renderer.gpu, picture.pixels())?;
-        Ok(if linear {
-            StillPixels::Linear(bytemuck::pod_collect_to_vec(&bytes))
-        } else {
-            StillPixels::Display(bytes)
-        })
+        Ok(())
+    }
+
+    /// The picture as it is shown, and its linear radiance.
+    fn composites(
+        &mut self,
+        size: FrameSize,
+        screen_space: bool,
+        settings: &StillSettings,
+    ) -> Result<(Vec<u8>, Vec<f32>), GpuError> {
+        let [display_key, linear_key] = self.composite_keys(screen_space, settings);
+        let mut read = |key, linear| {
+            let renderer = &mut self.renderer;
+            let rays = renderer
+                .viewers
+                .get(&VIEWER)
+                .and_then(|viewer| viewer.screen_space.as_ref())
+                .and_then(|job| job.marched().rays());
+            let picture =
+                Picture::with_rays(&renderer.gpu, &renderer.pipelines, size, linear, rays);
+            renderer.composite_still(VIEWER, &picture, key)?;
+            read_buffer_blocking(&renderer.gpu, picture.pixels())
+        };
+        let display = read(display_key, false)?;
+        let linear = bytemuck::pod_collect_to_vec(&read(linear_key, true)?);
+        Ok((display, linear))
     }
 
     /// GPU time of the cache, of composites and of the screen-space renderer so far, ns.
@@ -147,5 +347,57 @@ impl StillRenderer {
             TimedPass::ScreenSpace,
         ]
         .map(|pass| self.renderer.gpu_time(pass).0)
+    }
+}
+
+/// Where counters stood when a picture was begun.
+struct Start {
+    at: Instant,
+    totals: RenderTotals,
+    gpu_ns: u64,
+    counts_reads: bool,
+}
+
+impl Start {
+    /// Takes the settings over and begins to count.
+    fn of(still: &mut StillRenderer, settings: &StillSettings) -> Result<Self, GpuError> {
+        let renderer = &mut still.renderer;
+        renderer.leave(VIEWER);
+        renderer.settings = settings.march;
+        renderer.config.samples = settings.samples;
+        renderer.caches.set_samples(settings.samples);
+        renderer.mip_bias = f64::from(settings.mip_bias);
+        renderer.resolution_divisor = settings.resolution_divisor;
+        // Pipelines for other settings.
+        let (scene, revision) = (renderer.scene.clone(), renderer.scene_revision + 1);
+        renderer.set_scene(scene, revision)?;
+        let counter = &renderer.pipelines.read_counter;
+        renderer.gpu.queue.write_buffer(counter, 0, &[0; 8]);
+        Ok(Self {
+            at: Instant::now(),
+            totals: still.totals(),
+            gpu_ns: still.gpu_times_ns().iter().sum(),
+            counts_reads: settings.march.count_reads,
+        })
+    }
+
+    fn figures(&self, still: &StillRenderer) -> Result<StillFigures, GpuError> {
+        let totals = still.totals();
+        let marches = |t: &RenderTotals| t.texels_updated + t.screen_space_marches;
+        let gpu_ns = still.gpu_times_ns().iter().sum::<u64>() - self.gpu_ns;
+        let texture_reads = if self.counts_reads {
+            let renderer = &still.renderer;
+            let bytes = read_buffer_blocking(&renderer.gpu, &renderer.pipelines.read_counter)?;
+            let words: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
+            Some(u64::from(words[0]) | u64::from(words[1]) << 32)
+        } else {
+            None
+        };
+        Ok(StillFigures {
+            marches: marches(&totals) - marches(&self.totals),
+            texture_reads,
+            gpu_ns: (gpu_ns > 0).then_some(gpu_ns),
+            wall_s: self.at.elapsed().as_secs_f64(),
+        })
     }
 }

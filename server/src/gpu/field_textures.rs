@@ -2,10 +2,13 @@
 
 use super::Gpu;
 use crate::field::{
-    FieldStore, MAP_SIZE, PROFILE_SIZE, VolumeKind, profile_texels, skip_distances,
+    FieldStore, MAP_SIZE, PROFILE_SIZE, VolumeKind, VoxelGrid, load_grid, profile_texels,
+    skip_distances,
 };
-use skycell_protocol::scene::WeatherDensity;
+use skycell_protocol::Scene;
+use skycell_protocol::scene::{DensityModel, GridDensity, WeatherDensity};
 use std::collections::HashMap;
+use std::path::Path;
 
 /// Seed of the noise volumes: the same for every scene, the scene's seeds are those of its maps.
 const VOLUME_SEED: u32 = 1;
@@ -17,11 +20,86 @@ const MAPS: u32 = 4;
 pub struct FieldTextures {
     /// Group 1 of the marching kernels.
     pub bind_group: wgpu::BindGroup,
+    fixed: FixedTextures,
+    /// The grids whose voxels are on the device.
+    held_grids: Vec<GridDensity>,
     maps: wgpu::Texture,
     /// What each map holds: seed and coverage of the layer whose map it is.
     held: [Option<(u32, f64)>; MAPS as usize],
     coverage_and_type: HashMap<u32, crate::field::WeatherMaps>,
     store: FieldStore,
+}
+
+/// What stays for as long as the device does.
+#[derive(Debug)]
+struct FixedTextures {
+    maps: wgpu::TextureView,
+    profile: wgpu::TextureView,
+    shape: wgpu::TextureView,
+    detail: wgpu::TextureView,
+    repeat: wgpu::Sampler,
+    clamp: wgpu::Sampler,
+}
+
+impl FixedTextures {
+    fn bind_group(
+        &self,
+        gpu: &Gpu,
+        layout: &wgpu::BindGroupLayout,
+        grids: &wgpu::Texture,
+    ) -> wgpu::BindGroup {
+        let resources = [
+            wgpu::BindingResource::TextureView(&self.maps),
+            wgpu::BindingResource::TextureView(&self.profile),
+            wgpu::BindingResource::TextureView(&self.shape),
+            wgpu::BindingResource::TextureView(&self.detail),
+            wgpu::BindingResource::Sampler(&self.repeat),
+            wgpu::BindingResource::Sampler(&self.clamp),
+            wgpu::BindingResource::TextureView(&view(grids)),
+        ];
+        let entries: Vec<_> = (0..)
+            .zip(resources)
+            .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
+            .collect();
+        gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("field"),
+            layout,
+            entries: &entries,
+        })
+    }
+}
+
+/// Voxels of all layers in one texture, one behind the other along z.
+fn grids_texture(gpu: &Gpu, grids: &[VoxelGrid]) -> wgpu::Texture {
+    let largest = |axis: usize| {
+        let edges = grids.iter().map(|grid| grid.dimensions[axis]);
+        edges.max().unwrap_or(1)
+    };
+    let slices: u32 = grids.iter().map(|grid| grid.dimensions[2]).sum();
+    let texture = texture(
+        gpu,
+        "grids",
+        wgpu::Extent3d {
+            width: largest(0),
+            height: largest(1),
+            depth_or_array_layers: slices.max(1),
+        },
+        wgpu::TextureDimension::D3,
+        wgpu::TextureFormat::R32Float,
+    );
+    let mut slice = 0;
+    for grid in grids {
+        let [width, height, depth] = grid.dimensions;
+        let extent = wgpu::Extent3d {
+            width,
+            height,
+            depth_or_array_layers: depth,
+        };
+        let bytes = bytemuck::cast_slice(&grid.values);
+        upload(gpu, &texture, slice, extent, bytes, 4);
+        slice += depth;
+    }
+    texture
 }
 
 fn view(texture: &wgpu::Texture) -> wgpu::TextureView {
@@ -91,30 +169,68 @@ impl FieldTextures {
             dimension: Some(wgpu::TextureViewDimension::D2Array),
             ..Default::default()
         });
-        let resources = [
-            wgpu::BindingResource::TextureView(&maps_view),
-            wgpu::BindingResource::TextureView(&view(&profile)),
-            wgpu::BindingResource::TextureView(&view(&shape)),
-            wgpu::BindingResource::TextureView(&view(&detail)),
-            wgpu::BindingResource::Sampler(&sampler(wgpu::AddressMode::Repeat)),
-            wgpu::BindingResource::Sampler(&sampler(wgpu::AddressMode::ClampToEdge)),
-        ];
-        let entries: Vec<_> = (0..)
-            .zip(resources)
-            .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
-            .collect();
-        let bind_group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("field"),
-            layout,
-            entries: &entries,
-        });
+        let fixed = FixedTextures {
+            maps: maps_view,
+            profile: view(&profile),
+            shape: view(&shape),
+            detail: view(&detail),
+            repeat: sampler(wgpu::AddressMode::Repeat),
+            clamp: sampler(wgpu::AddressMode::ClampToEdge),
+        };
         Self {
-            bind_group,
+            bind_group: fixed.bind_group(gpu, layout, &grids_texture(gpu, &[])),
+            fixed,
+            held_grids: Vec::new(),
             maps,
             held: [None; MAPS as usize],
             coverage_and_type: HashMap::new(),
             store,
         }
+    }
+
+    /// Puts the voxels of a scene's grids on the device, when others are there; true when the bind group is a new one.
+    /// A file that cannot be read any more, though it could when the scene was taken, counts as empty.
+    pub fn set_grids(
+        &mut self,
+        gpu: &Gpu,
+        layout: &wgpu::BindGroupLayout,
+        scene: &Scene,
+        folder: &Path,
+    ) -> bool {
+        let wanted: Vec<GridDensity> = scene
+            .layers()
+            .iter()
+            .filter_map(|layer| match layer.density() {
+                DensityModel::Grid(grid) => Some(grid.clone()),
+                _ => None,
+            })
+            .collect();
+        if wanted == self.held_grids {
+            return false;
+        }
+        let voxels: Vec<VoxelGrid> = wanted
+            .iter()
+            .map(|grid| {
+                load_grid(folder, grid).unwrap_or_else(|error| {
+                    tracing::error!(%error, "a layer of voxels is empty");
+                    VoxelGrid {
+                        dimensions: grid.dimensions(),
+                        values: vec![0.0; grid.voxels() as usize],
+                    }
+                })
+            })
+            .collect();
+        self.bind_group = self
+            .fixed
+            .bind_group(gpu, layout, &grids_texture(gpu, &voxels));
+        self.held_grids = wanted;
+        true
+    }
+
+    /// Where noise and maps are kept.
+    #[must_use]
+    pub fn store(&self) -> &FieldStore {
+        &self.store
     }
 
     /// Puts the maps of a weather layer into one of the four places, when they are not there yet.

@@ -35,9 +35,17 @@ pub struct Pipelines {
     pub picture_layout: wgpu::BindGroupLayout,
     /// Group 3 of the screen-space march: view.
     pub view_layout: wgpu::BindGroupLayout,
+    /// Group 2 of the field's probe: points and values.
+    pub points_layout: wgpu::BindGroupLayout,
+    /// Group 3 of the field's probe: what is asked.
+    pub question_layout: wgpu::BindGroupLayout,
     empty_layout: wgpu::BindGroupLayout,
     /// Stands where a kernel has no group.
     pub empty_group: wgpu::BindGroup,
+    /// Texture reads of the kernels that count them: low and high word.
+    pub read_counter: wgpu::Buffer,
+    /// Stands where a picture has no list of rays.
+    pub no_rays: wgpu::Buffer,
     made: HashMap<PipelineKey, wgpu::ComputePipeline>,
 }
 
@@ -121,7 +129,19 @@ impl Pipelines {
             layout: &empty_layout,
             entries: &[],
         });
+        let buffer = |label, size| {
+            gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size,
+                usage: wgpu::BufferUsages::STORAGE
+                    | wgpu::BufferUsages::COPY_DST
+                    | wgpu::BufferUsages::COPY_SRC,
+                mapped_at_creation: false,
+            })
+        };
         Self {
+            read_counter: buffer("read counter", 8),
+            no_rays: buffer("no rays", 32),
             scene_layout: layout(gpu, "scene", &[uniform()]),
             field_layout: layout(
                 gpu,
@@ -133,6 +153,7 @@ impl Pipelines {
                     sampled(D3, true),
                     SAMPLER,
                     SAMPLER,
+                    sampled(D3, true),
                 ],
             ),
             texels_layout: layout(
@@ -145,6 +166,7 @@ impl Pipelines {
                     sampled(D2, false),
                     stored(wgpu::TextureFormat::Rgba16Float),
                     stored(wgpu::TextureFormat::R32Float),
+                    storage(false),
                 ],
             ),
             audit_layout: layout(
@@ -172,10 +194,12 @@ impl Pipelines {
                     SAMPLER,
                 ],
             ),
-            pixels_layout: layout(gpu, "pixels", &[storage(false)]),
+            pixels_layout: layout(gpu, "pixels", &[storage(false), storage(false)]),
             marched_layout: layout(gpu, "marched", &[storage(true)]),
-            picture_layout: layout(gpu, "picture", &[uniform(), storage(false)]),
-            view_layout: layout(gpu, "view", &[uniform()]),
+            picture_layout: layout(gpu, "picture", &[uniform(), storage(false), storage(true)]),
+            points_layout: layout(gpu, "points", &[storage(true), storage(false)]),
+            question_layout: layout(gpu, "question", &[uniform()]),
+            view_layout: layout(gpu, "view", &[uniform(), storage(true)]),
             empty_layout,
             empty_group,
             made: HashMap::new(),
@@ -201,6 +225,12 @@ impl Pipelines {
                 &self.field_layout,
                 &self.pixels_layout,
                 &self.view_layout,
+            ],
+            Kernel::ProbeField => [
+                &self.scene_layout,
+                &self.field_layout,
+                &self.points_layout,
+                &self.question_layout,
             ],
             Kernel::Composite | Kernel::Probe => [
                 &self.scene_layout,

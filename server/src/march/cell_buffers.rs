@@ -98,6 +98,11 @@ impl CellBuffers {
         cell
     }
 
+    /// Other textures of the field.
+    pub fn set_field_group(&mut self, field_group: &wgpu::BindGroup) {
+        self.field_group = field_group.clone();
+    }
+
     /// Group 1 of the marching kernels.
     #[must_use]
     pub fn field_group(&self) -> &wgpu::BindGroup {

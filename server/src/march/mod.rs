@@ -5,6 +5,7 @@ mod audit;
 mod cell_buffers;
 mod frame;
 mod pixels;
+mod settings;
 mod sky;
 mod texels;
 mod uniforms;
@@ -13,10 +14,11 @@ pub use atlas::{Atlas, TILES_PER_PAGE};
 pub use audit::{AUDIT_PLACES, AUDIT_TEXELS_MAX, AuditGroup, AuditMarch, audit_key, finer};
 pub use cell_buffers::CellBuffers;
 pub use frame::CellFrame;
-pub use pixels::{MarchedPixels, PixelStrip, pixels_key};
+pub use pixels::{LISTED_VALUES, MarchedPixels, PixelStrip, pixels_key};
+pub use settings::MarchSettings;
 pub use sky::{SkyLight, sky_light};
 pub use texels::{BATCH_TILES_MAX, TexelGroup, TexelMarch, texels_key};
 pub use uniforms::{
-    ActiveLayer, MarchSettings, active_layers, hg_draine_parameters, layer_features, scene_uniform,
-    wind_drifts,
+    ActiveLayer, active_layers, grid_first_slices, hg_draine_parameters, layer_features,
+    scene_uniform, wind_drifts,
 };

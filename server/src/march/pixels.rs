@@ -8,10 +8,12 @@ use skycell_shaders::{Features, Kernel, layout};
 
 /// Values that a pixel keeps per layer.
 const VALUES: u64 = 5;
+/// And that a listed ray keeps: steps and optical depth more.
+pub const LISTED_VALUES: usize = 7;
 
 /// What the pass is specialised to for a layer.
 #[must_use]
-pub fn pixels_key(layer: Features) -> PipelineKey {
+pub fn pixels_key(layer: Features, ray_list: bool) -> PipelineKey {
     PipelineKey {
         kernel: Kernel::MarchPixels,
         features: Features {
@@ -19,6 +21,7 @@ pub fn pixels_key(layer: Features) -> PipelineKey {
             catmull_rom: false,
             linear_output: false,
             screen_space: true,
+            ray_list,
             ..layer
         },
     }
@@ -44,15 +47,25 @@ pub struct MarchedPixels {
     view_group: wgpu::BindGroup,
     write_group: wgpu::BindGroup,
     read_group: wgpu::BindGroup,
+    values: wgpu::Buffer,
+    rays: Option<wgpu::Buffer>,
     size: FrameSize,
     bytes: u64,
 }
 
 impl MarchedPixels {
-    /// Makes the buffers for a picture of `size` and a number of layers.
+    /// Makes the buffers for a picture of `size` and a number of layers. With a list of rays, one for each pixel, these
+    /// are marched instead of a pinhole camera's.
     #[must_use]
-    pub fn new(gpu: &Gpu, pipelines: &Pipelines, size: FrameSize, layers: usize) -> Self {
-        let bytes = u64::from(size.pixels()) * layers.max(1) as u64 * VALUES * 4;
+    pub fn new(
+        gpu: &Gpu,
+        pipelines: &Pipelines,
+        size: FrameSize,
+        layers: usize,
+        listed: Option<&[layout::ListedRay]>,
+    ) -> Self {
+        let values_of_a_pixel = listed.map_or(VALUES, |_| LISTED_VALUES as u64);
+        let bytes = u64::from(size.pixels()) * layers.max(1) as u64 * values_of_a_pixel * 4;
         let buffer = |label, bytes, usage| {
             gpu.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some(label),
@@ -61,27 +74,51 @@ impl MarchedPixels {
                 mapped_at_creation: false,
             })
         };
-        let values = buffer("marched pixels", bytes, wgpu::BufferUsages::STORAGE);
+        let values = buffer(
+            "marched pixels",
+            bytes,
+            wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
+        );
+        let rays = listed.map(|listed| {
+            let rays = buffer(
+                "listed rays",
+                size_of_val(listed).max(size_of::<layout::ListedRay>()) as u64,
+                wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+            );
+            gpu.queue
+                .write_buffer(&rays, 0, bytemuck::cast_slice(listed));
+            rays
+        });
         let view = buffer(
             "marched view",
             size_of::<layout::View>() as u64,
             wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
         );
-        let group = |layout, buffer: &wgpu::Buffer| {
+        let group = |layout, buffers: &[&wgpu::Buffer]| {
+            let entries: Vec<_> = (0..)
+                .zip(buffers)
+                .map(|(binding, buffer)| wgpu::BindGroupEntry {
+                    binding,
+                    resource: buffer.as_entire_binding(),
+                })
+                .collect();
             gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some("marched pixels"),
                 layout,
-                entries: &[wgpu::BindGroupEntry {
-                    binding: 0,
-                    resource: buffer.as_entire_binding(),
-                }],
+                entries: &entries,
             })
         };
+        let rays_or_none = rays.as_ref().unwrap_or(&pipelines.no_rays);
         Self {
-            view_group: group(&pipelines.view_layout, &view),
-            write_group: group(&pipelines.pixels_layout, &values),
-            read_group: group(&pipelines.marched_layout, &values),
+            view_group: group(&pipelines.view_layout, &[&view, rays_or_none]),
+            write_group: group(
+                &pipelines.pixels_layout,
+                &[&values, &pipelines.read_counter],
+            ),
+            read_group: group(&pipelines.marched_layout, &[&values]),
             view,
+            values,
+            rays,
             size,
             bytes,
         }
@@ -106,6 +143,18 @@ impl MarchedPixels {
         self.bytes
     }
 
+    /// The marched values.
+    #[must_use]
+    pub fn values(&self) -> &wgpu::Buffer {
+        &self.values
+    }
+
+    /// The listed rays, where the picture is made of such.
+    #[must_use]
+    pub fn rays(&self) -> Option<&wgpu::Buffer> {
+        self.rays.as_ref()
+    }
+
     /// Group 2 of the screen-space composite.
     #[must_use]
     pub fn read_group(&self) -> &wgpu::BindGroup {
@@ -126,7 +175,8 @@ impl MarchedPixels {
             view,
             rows,
         } = *strip;
-        let Some(pipeline) = pipelines.get(pixels_key(features)) else {
+        let key = pixels_key(features, self.rays.is_some());
+        let Some(pipeline) = pipelines.get(key) else {
             return;
         };
         gpu.queue

@@ -122,6 +122,7 @@ impl TexelMarch {
                     wgpu::BindingResource::TextureView(&previous_distance),
                     wgpu::BindingResource::TextureView(&radiance),
                     wgpu::BindingResource::TextureView(&distance),
+                    pipelines.read_counter.as_entire_binding(),
                 ];
                 let entries: Vec<_> = (0..)
                     .zip(resources)

@@ -1,28 +1,20 @@
 //! The scene as the shaders read it, in the frame of one cell.
 
-use super::{CellFrame, SkyLight};
+use super::{CellFrame, MarchSettings, SkyLight};
 use crate::field::{SKIP_RANGE_SHARE, mean_height_fraction};
 use glam::DVec3;
 use skycell_protocol::Scene;
-use skycell_protocol::scene::{DensityModel, PhaseFunction};
-use skycell_shaders::{Features, layout};
+use skycell_protocol::scene::{DensityModel, PhaseFunction, Shape};
+use skycell_shaders::{Density, Features, layout};
 
 /// Factor from radiance (per unit of the sun's spectral irradiance in W/(m² nm)) to the tone curve at 0 EV.
 /// Tuned: puts a sunlit cumulus just under the shoulder, the noon sky at middle grey (`skycell-server render`).
 const EXPOSURE_AT_ZERO_EV: f64 = 3.6;
 
-/// How finely rays are marched.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MarchSettings {
-    /// Steps through the thickness of a layer at close range.
-    pub steps: u32,
-}
-
-impl Default for MarchSettings {
-    fn default() -> Self {
-        Self { steps: 96 }
-    }
-}
+/// A ray stops where less than this share of the light behind could still come through.
+const TRANSMITTANCE_MIN: f32 = 0.004;
+/// Most lit samples of a ray whose steps do not grow.
+const STEPS_MAX: u32 = 4096;
 
 /// A layer that can show something, with where it comes from.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,13 +60,18 @@ pub fn active_layers(scene: &Scene) -> Vec<ActiveLayer> {
 
 /// What the marching kernels are specialised to for one layer of a scene.
 #[must_use]
-pub fn layer_features(scene: &Scene, scene_index: usize) -> Features {
+pub fn layer_features(scene: &Scene, scene_index: usize, settings: &MarchSettings) -> Features {
+    let octaves = settings.octaves.unwrap_or(scene.light().octaves());
+    let layer = scene.layers().get(scene_index);
     Features {
-        octave_vectors: scene.light().octaves().div_ceil(4),
-        weather: scene
-            .layers()
-            .get(scene_index)
-            .is_some_and(|layer| matches!(layer.density(), DensityModel::Weather(_))),
+        octave_vectors: octaves.div_ceil(4),
+        density: match layer.map(skycell_protocol::scene::CloudLayer::density) {
+            Some(DensityModel::Weather(_)) => Density::Weather,
+            Some(DensityModel::Grid(_)) => Density::Grid,
+            Some(DensityModel::Homogeneous(_)) | None => Density::Homogeneous,
+        },
+        exact_interpolation: settings.exact_interpolation,
+        count_reads: settings.count_reads,
         ..Features::default()
     }
 }
@@ -145,7 +142,7 @@ pub fn scene_uniform(
     drifts: &[DVec3],
     anchors: &[DVec3],
 ) -> layout::Scene {
-    let octaves = scene.light().octaves();
+    let octaves = settings.octaves.unwrap_or(scene.light().octaves());
     let (phase_model, [g_hg, g_draine, alpha, weight]) = phase_parameters(scene.light().phase());
     let mut uniform = layout::Scene {
         planet: layout::Planet {
@@ -185,13 +182,17 @@ pub fn scene_uniform(
             alpha_draine: alpha as f32,
             draine_weight: weight as f32,
             octaves,
-            sun_steps: scene.light().sun_steps(),
+            sun_steps: settings.sun_steps.unwrap_or(scene.light().sun_steps()),
             sun_march_distance_m: scene.light().sun_march_distance_m() as f32,
             // A huge attenuation silences the unused components of the last vector.
             octave_attenuation: powers(scene.light().octave_attenuation(), octaves, 1e6),
             octave_contribution: powers(scene.light().octave_contribution(), octaves, 0.0),
             octave_eccentricity: powers(scene.light().octave_eccentricity(), octaves, 0.0),
-            ambient: scene.light().ambient() as f32,
+            ambient: if settings.ambient {
+                scene.light().ambient() as f32
+            } else {
+                0.0
+            },
             ..Default::default()
         },
         ..Default::default()
@@ -200,10 +201,41 @@ pub fn scene_uniform(
         let drift = drifts.get(layer.scene_index).copied().unwrap_or_default();
         uniform.layers[place] =
             layer_uniform(scene, *layer, place, settings, frame, drift, *anchor);
-        uniform.layers[place].air_extinction_per_m =
-            f32s(light.air_extinction_per_m(layer.proxy_altitude_m));
+        if settings.aerial_perspective {
+            uniform.layers[place].air_extinction_per_m =
+                f32s(light.air_extinction_per_m(layer.proxy_altitude_m));
+        }
     }
     uniform
+}
+
+/// Where a layer without maps can have density: its bounds, or for a whole layer more than any ray sees.
+fn bounds_m(density: &DensityModel) -> Option<[DVec3; 2]> {
+    match density {
+        DensityModel::Weather(_) => None,
+        bounded => Some(
+            bounded
+                .bounds_m()
+                .unwrap_or([DVec3::new(-1e9, -1e6, -1e9), DVec3::new(1e9, 1e6, 1e9)]),
+        ),
+    }
+}
+
+/// First slice of each layer's voxels in the texture that holds those of all layers, one behind the other.
+#[must_use]
+pub fn grid_first_slices(scene: &Scene) -> Vec<u32> {
+    let mut next = 0;
+    scene
+        .layers()
+        .iter()
+        .map(|layer| {
+            let first = next;
+            if let DensityModel::Grid(grid) = layer.density() {
+                next += grid.dimensions()[2];
+            }
+            first
+        })
+        .collect()
 }
 
 fn layer_uniform(
@@ -218,6 +250,10 @@ fn layer_uniform(
     let layer = &scene.layers()[active.scene_index];
     let thickness_m = layer.top_altitude_m() - layer.base_altitude_m();
     let steps = f64::from(settings.steps.max(1));
+    let first_slice = grid_first_slices(scene)
+        .get(active.scene_index)
+        .copied()
+        .unwrap_or(0);
     let mut uniform = layout::Layer {
         base_altitude_m: layer.base_altitude_m() as f32,
         top_altitude_m: layer.top_altitude_m() as f32,
@@ -227,11 +263,39 @@ fn layer_uniform(
         proxy_altitude_m: active.proxy_altitude_m as f32,
         anchor: f32s(anchor),
         step_min_m: (thickness_m / steps) as f32,
-        // A step grows with distance as the height that a pixel sees does.
-        step_per_distance: (0.5 / steps) as f32,
-        steps_max: 4 * settings.steps.max(1),
+        // A step grows with distance as the height that a pixel sees does; or by so little that it never shows.
+        step_per_distance: if settings.adaptive_step {
+            (0.5 / steps) as f32
+        } else {
+            1e-9
+        },
+        steps_max: if settings.adaptive_step {
+            4 * settings.steps.max(1)
+        } else {
+            STEPS_MAX
+        },
+        transmittance_min: if settings.early_exit {
+            TRANSMITTANCE_MIN
+        } else {
+            0.0
+        },
+        lights_empty_steps: u32::from(!settings.low_density_skip),
         ..Default::default()
     };
+    if let Some([min_m, max_m]) = bounds_m(layer.density()) {
+        let [x, z] = frame.origin_m();
+        let in_frame = min_m + DVec3::new(drift.x - x, 0.0, drift.z - z);
+        uniform.bounds_min = f32s(in_frame);
+        uniform.bounds_per_m = f32s(1.0 / (max_m - min_m));
+        uniform.is_ball = u32::from(matches!(
+            layer.density(),
+            DensityModel::Homogeneous(Shape::Sphere { .. })
+        ));
+    }
+    if let DensityModel::Grid(grid) = layer.density() {
+        uniform.grid_dimensions = grid.dimensions();
+        uniform.grid_first_slice = first_slice;
+    }
     if let DensityModel::Weather(weather) = layer.density() {
         let [x, z] = frame.origin_m();
         let offset = |period_m: f64| {
@@ -242,7 +306,6 @@ fn layer_uniform(
             ]
         };
         let map = offset(weather.map_span_m());
-        uniform.density_model = 1;
         uniform.map_offset = [map[0], map[2]];
         uniform.map_per_m = (1.0 / weather.map_span_m()) as f32;
         uniform.shape_offset = offset(weather.shape_period_m());
@@ -251,7 +314,11 @@ fn layer_uniform(
         uniform.detail_per_m = (1.0 / weather.detail_period_m()) as f32;
         uniform.coverage = weather.coverage() as f32;
         uniform.cloud_type = weather.cloud_type() as f32;
-        uniform.detail_strength = weather.detail_strength() as f32;
+        uniform.detail_strength = if settings.detail_noise {
+            weather.detail_strength() as f32
+        } else {
+            0.0
+        };
         uniform.skip_range_m = (weather.map_span_m() * SKIP_RANGE_SHARE) as f32;
     }
     uniform

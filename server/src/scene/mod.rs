@@ -15,6 +15,7 @@ use skycell_protocol::{Scene, SceneError};
 use thiserror::Error;
 use tokio::sync::watch;
 
+use crate::field::check_grids;
 use file::SceneFile;
 pub use file::SceneFileError;
 
@@ -57,6 +58,8 @@ pub enum ScenePatchError {
 /// Owner of the scene.
 pub struct SceneStore {
     file: SceneFile,
+    /// Where the files of voxels lie that a scene may name.
+    grids_dir: PathBuf,
     /// Held while a change is made, so that changes follow each other.
     change: Mutex<()>,
     current: watch::Sender<SceneSnapshot>,
@@ -70,6 +73,7 @@ impl SceneStore {
     /// If the file is there and holds no scene (it is then left as it is), or cannot be read or
     /// written.
     pub fn open(state_dir: PathBuf) -> Result<Self, SceneFileError> {
+        let grids_dir = state_dir.join("grids");
         let file = SceneFile::in_folder(state_dir)?;
         let snapshot = match file.read()? {
             Some(snapshot) => snapshot,
@@ -84,6 +88,7 @@ impl SceneStore {
         };
         Ok(Self {
             file,
+            grids_dir,
             change: Mutex::new(()),
             current: watch::Sender::new(snapshot),
         })
@@ -126,6 +131,7 @@ impl SceneStore {
         if scene == *before.scene {
             return Ok(before);
         }
+        check_grids(&scene, &self.grids_dir)?;
         let after = SceneSnapshot {
             scene: Arc::new(scene),
             revision: before.revision + 1,

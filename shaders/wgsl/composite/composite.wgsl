@@ -4,7 +4,8 @@
 #import skycell::shell::shell_roots
 #import skycell::shade::{Background, Ray, background, pixel_ray, background_radiance, sun_phase_per_sr, layer_over}
 #import skycell::tone::{balanced, filmic, srgb_from_linear, dithered_bytes}
-#import skycell::view::{View, PageTable, pixel_direction}
+#import skycell::view::{View, PageTable, ListedRay, pixel_direction}
+#import skycell::shell::altitude_m
 #ifndef SCREEN_SPACE
 #import skycell::cached::cached_radiance
 #endif
@@ -16,18 +17,52 @@
 @group(3) @binding(1) var<storage, read_write> picture: array<u32>;
 #endif
 #ifdef SCREEN_SPACE
-/// Per layer and pixel: single, octaves, ambient, transmittance and the distance, as marched by march_pixels.
+/// Per layer and pixel: single, octaves, ambient, transmittance and the distance, as marched by march_pixels; for listed
+/// rays two values more.
 @group(2) @binding(0) var<storage, read> marched: array<f32>;
+#ifdef RAY_LIST
+@group(3) @binding(2) var<storage, read> rays: array<ListedRay>;
+const VALUES: u32 = 7u;
+#else
+const VALUES: u32 = 5u;
+#endif
+
+/// The marched pixel at a column and row.
+fn marched_pixel(eye: View, layer_index: u32, pixel: vec2u) -> LayerRadiance {
+    let at = ((layer_index * eye.marched_height + pixel.y) * eye.marched_width + pixel.x) * VALUES;
+    return LayerRadiance(marched[at], marched[at + 1u], marched[at + 2u], marched[at + 3u], marched[at + 4u]);
+}
+
+fn mixed_radiance(a: LayerRadiance, b: LayerRadiance, share: f32) -> LayerRadiance {
+    return LayerRadiance(
+        mix(a.single, b.single, share),
+        mix(a.octaves, b.octaves, share),
+        mix(a.ambient, b.ambient, share),
+        mix(a.transmittance, b.transmittance, share),
+        mix(a.opacity_distance_m, b.opacity_distance_m, share),
+    );
+}
 #endif
 
 /// What the viewer sees of one layer along a ray.
 fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> LayerRadiance {
 #ifdef SCREEN_SPACE
-    let at = ((layer_index * eye.height + pixel.y) * eye.width + pixel.x) * 5u;
+#ifdef UPSAMPLE
+    let size = vec2f(f32(eye.marched_width), f32(eye.marched_height));
+    let place = clamp((vec2f(pixel) + 0.5) * size / vec2f(f32(eye.width), f32(eye.height)) - 0.5, vec2f(0.0), size - 1.0);
+    let low = vec2u(place);
+    let high = min(low + 1u, vec2u(eye.marched_width, eye.marched_height) - 1u);
+    let share = place - vec2f(low);
+    let upper = mixed_radiance(marched_pixel(eye, layer_index, low), marched_pixel(eye, layer_index, vec2u(high.x, low.y)), share.x);
+    let lower = mixed_radiance(marched_pixel(eye, layer_index, vec2u(low.x, high.y)), marched_pixel(eye, layer_index, high), share.x);
+    let cloud = mixed_radiance(upper, lower, share.y);
+#else
+    let cloud = marched_pixel(eye, layer_index, pixel);
+#endif
     // Samples of the pixels at the horizon reach above it; the middle of the pixel decides, as it does for the cache.
     let seen = select(1.0, 0.0, ray.on_ground);
-    let transmittance = select(marched[at + 3u], 1.0, ray.on_ground);
-    return LayerRadiance(seen * marched[at], seen * marched[at + 1u], seen * marched[at + 2u], transmittance, seen * marched[at + 4u]);
+    let transmittance = select(cloud.transmittance, 1.0, ray.on_ground);
+    return LayerRadiance(seen * cloud.single, seen * cloud.octaves, seen * cloud.ambient, transmittance, seen * cloud.opacity_distance_m);
 #else
     let sphere = shell_roots(world.planet.radius_m, layer.proxy_altitude_m, eye.position, eye.altitude_m, ray.direction);
     let on_sphere = eye.position + ray.direction * max(sphere.far_m, 1e-3);
@@ -39,7 +74,11 @@ fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, layer
 /// Radiance that reaches the viewer through the middle of a pixel.
 fn pixel_radiance(world: Scene, eye: View, back: Background, pixel: vec2u) -> vec3f {
     let direction = pixel_direction(eye, vec2f(pixel) + 0.5);
-    let ray = pixel_ray(world, eye.position, eye.altitude_m, direction);
+    return ray_radiance(world, eye, back, pixel, pixel_ray(world, eye.position, eye.altitude_m, direction));
+}
+
+/// Radiance along a ray, which is that of a pixel.
+fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ray) -> vec3f {
     var radiance = background_radiance(world, back, ray);
 #if LAYERS >= 1
     let phase = sun_phase_per_sr(world, ray);
@@ -75,7 +114,21 @@ fn composite(@builtin(global_invocation_id) id: vec3u) {
     let back = background(world, eye.position, eye.altitude_m, pixel_direction(eye, vec2f(first) + 1.0));
     for (var i = 0u; i < 4u; i += 1u) {
         let pixel = first + vec2u(i & 1u, i >> 1u);
-        let radiance = pixel_radiance(world, eye, back, min(pixel, vec2u(eye.width, eye.height) - 1u));
+        let shown = min(pixel, vec2u(eye.width, eye.height) - 1u);
+#ifdef RAY_LIST
+        let listed = rays[shown.y * eye.width + shown.x];
+        let altitude = altitude_m(world.planet.radius_m, listed.origin);
+        let own = background(world, listed.origin, altitude, listed.direction);
+        let radiance = ray_radiance(world, eye, own, shown, pixel_ray(world, listed.origin, altitude, listed.direction));
+#else
+#ifdef LINEAR_OUTPUT
+        // What is measured is not shared.
+        let own = background(world, eye.position, eye.altitude_m, pixel_direction(eye, vec2f(shown) + 0.5));
+        let radiance = pixel_radiance(world, eye, own, shown);
+#else
+        let radiance = pixel_radiance(world, eye, back, shown);
+#endif
+#endif
         let inside = pixel.x < eye.width && pixel.y < eye.height;
         let at = pixel.y * eye.width + pixel.x;
 #ifdef LINEAR_OUTPUT

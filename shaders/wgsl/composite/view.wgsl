@@ -31,6 +31,19 @@ struct View {
     layer: u32,
     /// Altitude of the position above the ground, m.
     altitude_m: f32,
+    /// Size of the marched pixels, where it is not that of the picture.
+    marched_width: u32,
+    marched_height: u32,
+    /// 1: samples stand beside the middles of pixels and steps; 0: in the middle.
+    jitter: f32,
+}
+
+/// A ray of a picture that is no pinhole camera's, in the frame of its cell.
+struct ListedRay {
+    origin: vec3f,
+    pad_origin: f32,
+    direction: vec3f,
+    pad_direction: f32,
 }
 
 /// Direction of the ray through a point of the picture, in pixels from its upper left corner.

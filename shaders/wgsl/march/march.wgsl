@@ -5,6 +5,8 @@
 #import skycell::phase::{one_minus_mu, phase_per_sr}
 #ifdef DENSITY_WEATHER
 #import skycell::density::{map_texel, dimensional_profile, carved_density, smooth_density}
+#else
+#import skycell::density::{bounded_density, over_bounds}
 #endif
 
 @group(0) @binding(0) var<uniform> scene: Scene;
@@ -32,13 +34,17 @@ fn distance_seen_m(opacity_distance_m: f32, transmittance: f32) -> f32 {
     return opacity_distance_m / (1.0 - transmittance + CLEAR_OPACITY);
 }
 
-/// A ray stops where less than this share of the light behind could still come through.
-const TRANSMITTANCE_MIN: f32 = 0.004;
 /// Detail begins to fade where its voxels are seen under this angle, a pixel and a half of a 720-line picture, and is gone
 /// at half of it. The same for every renderer and resolution: a cloud's shape must not depend on who looks.
 const DETAIL_ANGLE_RAD: f32 = 2.2e-3;
 /// A limit that no sensible ray reaches (steps are at least step_min_m long).
 const PROBES_MAX: u32 = 4096u;
+
+#ifdef RAY_LIST
+/// What the last ray took: lit steps and probes, and its optical depth.
+var<private> steps_taken: u32 = 0u;
+var<private> optical_depth_seen: f32 = 0.0;
+#endif
 
 /// What a ray needs of the scene. Read once before the first branch: software drivers read uniforms lane by lane behind
 /// one, which costs more than the arithmetic.
@@ -93,7 +99,7 @@ fn sun_optical_depth(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
         let profile = dimensional_profile(layer, map_texel(layer, sample.xz), height_fraction);
         let density = smooth_density(layer, sample, altitude, height_fraction, profile);
 #else
-        let density = 1.0;
+        let density = bounded_density(layer, sample, altitude);
 #endif
         sum_m += select(0.0, density * (end_m - start_m), inside);
     }
@@ -120,13 +126,22 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
 
     var end_m = intervals.first_end_m;
     var start_m = intervals.first_start_m;
-    var second = intervals.second_end_m > intervals.second_start_m;
+    var second_start_m = intervals.second_start_m;
+    var second_end_m = intervals.second_end_m;
+    let layer_distance_m = 0.5 * select(second_start_m + second_end_m, start_m + end_m, end_m > start_m);
+#ifndef DENSITY_WEATHER
+    let over = over_bounds(layer, origin, direction);
+    start_m = max(start_m, over.x);
+    end_m = min(end_m, over.y);
+    second_start_m = max(second_start_m, over.x);
+    second_end_m = min(second_end_m, over.y);
+#endif
+    var second = second_end_m > second_start_m;
     if end_m <= start_m {
-        start_m = intervals.second_start_m;
-        end_m = select(start_m, intervals.second_end_m, second);
+        start_m = second_start_m;
+        end_m = select(start_m, second_end_m, second);
         second = false;
     }
-    let layer_distance_m = 0.5 * (start_m + end_m);
     var steps = first_sample_at(layer, start_m, start_fraction);
     var distance_m = distance_at_m(layer, steps);
 
@@ -136,7 +151,12 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
     var octave_sums: array<vec4f, #{OCTAVE_VECTORS}>;
     for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_sums[k] = vec4f(0.0); }
 
+    let lights_empty = layer.lights_empty_steps == 1u;
     var probes = 0u;
+#ifdef RAY_LIST
+    steps_taken = 0u;
+    optical_depth_seen = 0.0;
+#endif
     for (var lit = 0u; lit < layer.steps_max; lit += 1u) {
         var position = vec3f(0.0);
         var altitude = 0.0;
@@ -149,9 +169,9 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
 #ifdef DENSITY_WEATHER
             loop {
                 if distance_m >= end_m && second {
-                    steps = first_sample_at(layer, intervals.second_start_m, start_fraction);
+                    steps = first_sample_at(layer, second_start_m, start_fraction);
                     distance_m = distance_at_m(layer, steps);
-                    end_m = intervals.second_end_m;
+                    end_m = second_end_m;
                     second = false;
                 }
                 if distance_m >= end_m || probes >= PROBES_MAX { break; }
@@ -160,7 +180,7 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
                 height_fraction = saturate((altitude - layer.base_altitude_m) / thickness_m);
                 let map = map_texel(layer, position.xz);
                 profile = dimensional_profile(layer, map, height_fraction);
-                if profile > 0.0 { break; }
+                if profile > 0.0 || lights_empty { break; }
                 probes += 1u;
                 let skip_m = map.z * layer.skip_range_m / across;
                 steps += max(ceil(steps_at(layer, distance_m + skip_m) - steps), 1.0);
@@ -169,23 +189,27 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
             if distance_m >= end_m || probes >= PROBES_MAX { break; }
             let detail_weight = saturate(2.0 - distance_m * DETAIL_ANGLE_RAD / detail_voxel_m);
             density = carved_density(layer, position, altitude, height_fraction, profile, detail_weight);
-            if density > 0.0 { break; }
+            if density > 0.0 || lights_empty { break; }
             probes += 1u;
             steps += 1.0;
             distance_m = distance_at_m(layer, steps);
 #else
             if distance_m >= end_m && second {
-                steps = first_sample_at(layer, intervals.second_start_m, start_fraction);
+                steps = first_sample_at(layer, second_start_m, start_fraction);
                 distance_m = distance_at_m(layer, steps);
-                end_m = intervals.second_end_m;
+                end_m = second_end_m;
                 second = false;
             }
+            if distance_m >= end_m || probes >= PROBES_MAX { break; }
             position = origin + direction * distance_m;
             altitude = altitude_m(ray.planet_radius_m, position);
             height_fraction = saturate((altitude - layer.base_altitude_m) / thickness_m);
-            density = 1.0;
-            profile = 1.0;
-            break;
+            density = bounded_density(layer, position, altitude);
+            profile = density;
+            if density > 0.0 || lights_empty { break; }
+            probes += 1u;
+            steps += 1.0;
+            distance_m = distance_at_m(layer, steps);
 #endif
         }
         if distance_m >= end_m || probes >= PROBES_MAX { break; }
@@ -203,9 +227,13 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         ambient += weight * (0.3 + 0.7 * height_fraction) * sqrt(saturate(1.0 - 0.75 * profile * density));
         weighted_distance_m += weight * distance_m;
         transmittance *= exp(-optical_depth);
+#ifdef RAY_LIST
+        steps_taken = lit + 1u + probes;
+        optical_depth_seen += optical_depth;
+#endif
         steps += 1.0;
         distance_m = distance_at_m(layer, steps);
-        if transmittance < TRANSMITTANCE_MIN { break; }
+        if transmittance < layer.transmittance_min { break; }
     }
 
     var result: LayerRadiance;

@@ -1,20 +1,55 @@
 // One ray per pixel of one viewer: the screen-space renderer.
 #import skycell::march::{scene, march_layer, sample_offset, sample_start_fraction, LayerRadiance}
-#import skycell::view::{View, pixel_direction}
+#import skycell::view::{View, ListedRay, pixel_direction}
+#ifdef RAY_LIST
+#import skycell::march::{steps_taken, optical_depth_seen}
+#endif
+#ifdef COUNT_READS
+#import skycell::density::texture_reads
+#endif
 
+/// Per layer and pixel: single, octaves, ambient, transmittance and the distance; for listed rays steps and optical depth
+/// too.
 @group(2) @binding(0) var<storage, read_write> marched: array<f32>;
+/// Texture reads so far, low and high word.
+@group(2) @binding(1) var<storage, read_write> read_counter: array<atomic<u32>, 2>;
 @group(3) @binding(0) var<uniform> view: View;
+@group(3) @binding(1) var<storage, read> rays: array<ListedRay>;
 
-/// Adds one jittered sample to a strip of rows; z of the group is the layer.
+#ifdef RAY_LIST
+const VALUES: u32 = 7u;
+#else
+const VALUES: u32 = 5u;
+#endif
+
+/// Adds one sample to a strip of rows of one layer.
 @compute @workgroup_size(8, 8, 1)
 fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
     let pixel = vec2u(id.x, id.y + view.first_row);
     if pixel.x >= view.width || pixel.y >= view.height { return; }
-    let direction = pixel_direction(view, vec2f(pixel) + 0.5 + sample_offset(view.sample_index));
-    let start = sample_start_fraction(vec2f(pixel), view.sample_index);
-    let sample = march_layer(view.layer, view.position, direction, start);
-    let at = ((view.layer * view.height + pixel.y) * view.width + pixel.x) * 5u;
+    let offset = view.jitter * sample_offset(view.sample_index);
+#ifdef RAY_LIST
+    let ray = rays[pixel.y * view.width + pixel.x];
+    // Across and down a pixel.
+    let origin = ray.origin + offset.x * view.right - offset.y * view.up;
+    let direction = ray.direction;
+#else
+    let origin = view.position;
+    let direction = pixel_direction(view, vec2f(pixel) + 0.5 + offset);
+#endif
+    // Without jitter every sample stands in the middle of its step.
+    let start = mix(0.5, sample_start_fraction(vec2f(pixel), view.sample_index), view.jitter);
+    let sample = march_layer(view.layer, origin, direction, start);
+    let at = ((view.layer * view.height + pixel.y) * view.width + pixel.x) * VALUES;
     let weight = view.sample_weight;
+#ifdef COUNT_READS
+    let before = atomicAdd(&read_counter[0], texture_reads);
+    if before + texture_reads < before { atomicAdd(&read_counter[1], 1u); }
+#endif
+#ifdef RAY_LIST
+    marched[at + 5u] = f32(steps_taken);
+    marched[at + 6u] = optical_depth_seen;
+#endif
     if view.sample_is_first == 1u {
         marched[at] = sample.single;
         marched[at + 1u] = sample.octaves;

@@ -1,6 +1,10 @@
 // One ray per texel of a tile: fills the proxy-sphere cache.
 #import skycell::march::{scene, march_layer, sample_offset, sample_start_fraction, LayerRadiance}
 #import skycell::texel_ray::{TILE_STRIDE, PAGE_TILES, FOOTPRINT_TEXELS, texel_in_level, texel_direction}
+#import skycell::accumulate::accumulated
+#ifdef COUNT_READS
+#import skycell::density::texture_reads
+#endif
 
 /// One tile that takes one more sample.
 struct TileWork {
@@ -29,15 +33,8 @@ struct Reference {
 @group(2) @binding(3) var previous_distance: texture_2d<f32>;
 @group(2) @binding(4) var atlas_radiance: texture_storage_2d_array<rgba16float, write>;
 @group(2) @binding(5) var atlas_distance: texture_storage_2d_array<r32float, write>;
-
-/// Largest value that is stored: half floats end at 65 504, and the phases of unscaled octaves can exceed that.
-const STORED_MAX: f32 = 6e4;
-
-/// Rounded to the nearest value with a half float's eleven digits. Drivers may cut digits off where they store, and a mean
-/// that is cut off with every sample becomes darker with every sample.
-fn half_rounded(value: vec4f) -> vec4f {
-    return bitcast<vec4f>((bitcast<vec4u>(value) + 0x1000u) & vec4u(0xffffe000u));
-}
+/// Texture reads so far, low and high word.
+@group(2) @binding(6) var<storage, read_write> read_counter: array<atomic<u32>, 2>;
 
 @compute @workgroup_size(8, 8, 1)
 fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
@@ -51,18 +48,21 @@ fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
     let start = sample_start_fraction(texel, item.sample_index);
     let sample = march_layer(item.layer, reference.position, direction, start);
 
+#ifdef COUNT_READS
+    let before = atomicAdd(&read_counter[0], texture_reads);
+    if before + texture_reads < before { atomicAdd(&read_counter[1], 1u); }
+#endif
     let scratch = vec2u(0u, item.previous * TILE_STRIDE) + stored;
     let old_radiance = textureLoad(previous_radiance, scratch, 0);
     let old_distance = textureLoad(previous_distance, scratch, 0).x;
-    let new_radiance = min(vec4f(sample.single, sample.octaves, sample.ambient, sample.transmittance), vec4f(STORED_MAX));
+    let new_radiance = vec4f(sample.single, sample.octaves, sample.ambient, sample.transmittance);
     let new_distance = sample.opacity_distance_m;
-    // select, not mix with weight 1: whatever a fresh slot holds, NaN included, must not leak in.
+    let radiance = accumulated(old_radiance, new_radiance, item.weight);
     let replaces = item.weight >= 1.0;
-    let radiance = select(mix(old_radiance, new_radiance, item.weight), new_radiance, replaces);
     let distance = select(mix(old_distance, new_distance, item.weight), new_distance, replaces);
 
     let target_texel = vec2u(0u, item.slot % PAGE_TILES * TILE_STRIDE) + stored;
     let page = item.slot / PAGE_TILES;
-    textureStore(atlas_radiance, target_texel, page, half_rounded(radiance));
+    textureStore(atlas_radiance, target_texel, page, radiance);
     textureStore(atlas_distance, target_texel, page, vec4f(distance, 0.0, 0.0, 0.0));
 }

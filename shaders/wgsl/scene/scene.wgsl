@@ -82,8 +82,8 @@ struct Layer {
     single_scattering_albedo: f32,
     map_offset: vec2f,
     map_per_m: f32,
-    /// 0 homogeneous, 1 weather.
-    density_model: u32,
+    /// 1: the shape is the ball in the bounds, else all of them.
+    is_ball: u32,
     shape_offset: vec3f,
     shape_per_m: f32,
     detail_offset: vec3f,
@@ -107,6 +107,19 @@ struct Layer {
     steps_max: u32,
     /// Mean extinction of the air between the ground and the proxy sphere, per channel, 1/m.
     air_extinction_per_m: vec3f,
+    /// A ray stops where less than this share of the light behind could still come through; 0: never.
+    transmittance_min: f32,
+    /// Lower corner of what has density without maps: x and z in the cell's frame, y an altitude, m.
+    bounds_min: vec3f,
+    /// 1: every step is lit, empty or not.
+    lights_empty_steps: u32,
+    /// 1 over the edges of the bounds, 1/m.
+    bounds_per_m: vec3f,
+    /// First slice of this layer's voxels in the texture that holds all layers'.
+    grid_first_slice: u32,
+    /// Voxels along x, y and z.
+    grid_dimensions: vec3u,
+    pad_grid: u32,
 }
 
 struct Scene {

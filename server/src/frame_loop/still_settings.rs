@@ -1,0 +1,119 @@
+//! What a single picture or a list of rays is asked for with, and what comes back.
+
+use crate::config::FrameFilter;
+use crate::march::MarchSettings;
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+use skycell_protocol::{FrameSize, RendererKind};
+
+/// How a single picture is made.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct StillSettings {
+    /// Which renderer.
+    pub renderer: RendererKind,
+    /// How rays are marched.
+    pub march: MarchSettings,
+    /// Samples of a texel or pixel, 1 to 16.
+    pub samples: u32,
+    /// 1, 2 or 4: the screen-space renderer marches this many times fewer columns and rows.
+    pub resolution_divisor: u32,
+    /// Halvings of the cache's resolution below the screen's, 0 to 4.
+    pub mip_bias: f32,
+    /// How the cache is read.
+    pub filter: FrameFilter,
+    /// Reference point of the cache, seen from the eye: x, altitude, z.
+    pub reference_offset_m: [f64; 3],
+}
+
+impl Default for StillSettings {
+    fn default() -> Self {
+        Self {
+            renderer: RendererKind::Cached,
+            march: MarchSettings::default(),
+            samples: 8,
+            resolution_divisor: 1,
+            mip_bias: 0.0,
+            filter: FrameFilter::CatmullRom,
+            reference_offset_m: [0.0; 3],
+        }
+    }
+}
+
+/// A finished picture, as it is shown and as it is measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StillPicture {
+    /// Its size.
+    pub size: FrameSize,
+    /// Tone-mapped sRGB, 4 bytes a pixel.
+    pub display: Vec<u8>,
+    /// Linear radiance in W/(m² nm sr), red, green, blue and 1 for each pixel.
+    pub linear: Vec<f32>,
+    /// What it took.
+    pub figures: StillFigures,
+}
+
+/// What a picture took.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StillFigures {
+    /// Rays marched: samples of texels or pixels.
+    pub marches: u64,
+    /// Texture reads of the march, where they were counted.
+    pub texture_reads: Option<u64>,
+    /// Time of the device for marching and compositing, where it can tell.
+    pub gpu_ns: Option<u64>,
+    /// Time that passed.
+    pub wall_s: f64,
+}
+
+/// A ray in the frame of its list: origin on the ground under the first ray's start, y up there, x east, z south.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StillRay {
+    /// Where it starts, m.
+    pub origin_m: DVec3,
+    /// Unit vector.
+    pub direction: DVec3,
+}
+
+/// Rays that are marched as the pixels of a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RayPicture {
+    /// World place (x, altitude, z) whose ground point is the frame's origin; the altitude does not matter.
+    pub frame_m: DVec3,
+    /// Width times height rays, row by row.
+    pub rays: Vec<StillRay>,
+    /// Size of the picture that they are.
+    pub size: FrameSize,
+    /// What samples move a ray's start by across a pixel and down a pixel, m.
+    pub pixel_m: [DVec3; 2],
+}
+
+/// What the device found along a ray in one layer.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LayerFigures {
+    /// Single scattering without its phase.
+    pub single: f32,
+    /// Octaves from the second on, 1/sr.
+    pub octaves: f32,
+    /// Ambient light as a share of the sky's mean radiance.
+    pub ambient: f32,
+    /// Transmittance.
+    pub transmittance: f32,
+    /// Distance of what is seen times its opacity, m.
+    pub opacity_distance_m: f32,
+    /// Steps that were lit or only looked at.
+    pub steps: f32,
+    /// Optical depth.
+    pub optical_depth: f32,
+}
+
+/// What the device found along listed rays.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RayFigures {
+    /// Radiance of each ray in W/(m² nm sr).
+    pub radiance: Vec<[f32; 3]>,
+    /// Layers that are shown, lowest first, and in each what was found along each ray.
+    pub layers: Vec<Vec<LayerFigures>>,
+    /// The picture, where one was asked for.
+    pub picture: StillPicture,
+}

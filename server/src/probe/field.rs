@@ -1,0 +1,182 @@
+//! Functions that read the scene or its cloud field.
+
+use super::{Round, group};
+use crate::field::FieldStore;
+use crate::gpu::{FieldTextures, Gpu, GpuError, PipelineKey, Pipelines};
+use crate::march::{
+    ActiveLayer, CellBuffers, CellFrame, MarchSettings, active_layers, layer_features,
+    scene_uniform, sky_light, wind_drifts,
+};
+use glam::DVec3;
+use skycell_protocol::Scene;
+use skycell_protocol::scene::DensityModel;
+use skycell_shaders::{Kernel, layout};
+use std::path::Path;
+
+/// What `probe/field.wgsl` can be asked; what a point holds stands there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FieldQuestion {
+    /// Parts of a ray in a layer.
+    LayerIntervals = 0,
+    /// Steps of a march.
+    Steps = 1,
+    /// Coverage and type from a map's value.
+    CoverageAndType = 2,
+    /// Density of a place.
+    Density = 3,
+    /// Optical depth towards the sun.
+    SunOpticalDepth = 4,
+    /// Parts of a ray over a layer's bounds.
+    OverBounds = 5,
+    /// Radiance and transmittance of clear air.
+    ClearSky = 6,
+    /// Relative air mass; radiance of the sun's disc.
+    AirMassAndDisc = 7,
+    /// The scene's phase.
+    Phase = 8,
+    /// What lies behind all clouds.
+    Background = 9,
+    /// A cloud over what lies behind it.
+    LayerOver = 10,
+    /// The tone curve.
+    Tone = 11,
+    /// A texel after many samples.
+    Accumulated = 12,
+}
+
+/// Four vectors.
+pub type FieldPoint = [[f32; 4]; 4];
+/// Two vectors.
+pub type FieldValue = [[f32; 4]; 2];
+
+/// A scene on the device, around one place.
+pub struct FieldProbe {
+    gpu: Gpu,
+    pipelines: Pipelines,
+    cell: CellBuffers,
+    keys: Vec<PipelineKey>,
+    uniform: layout::Scene,
+    active: Vec<ActiveLayer>,
+    frame: CellFrame,
+}
+
+impl FieldProbe {
+    /// Puts a scene on a device. The frame's origin is the ground under `origin_m` (x, altitude, z); the wind has blown for
+    /// `time_s`; noise is kept in `noise_dir`, voxels are looked for in `grids_dir`.
+    ///
+    /// # Errors
+    /// When there is no device.
+    pub fn open(
+        scene: &Scene,
+        settings: MarchSettings,
+        origin_m: DVec3,
+        time_s: f64,
+        noise_dir: &Path,
+        grids_dir: &Path,
+    ) -> Result<Self, GpuError> {
+        let gpu = Gpu::open_blocking()?;
+        let mut pipelines = Pipelines::new(&gpu);
+        let store = FieldStore::new(Some(noise_dir.to_owned()));
+        let mut field = FieldTextures::new(&gpu, &pipelines.field_layout, store);
+        field.set_grids(&gpu, &pipelines.field_layout, scene, grids_dir);
+        let active = active_layers(scene);
+        let mut keys = Vec::new();
+        for (place, layer) in (0..).zip(&active) {
+            if let DensityModel::Weather(weather) = scene.layers()[layer.scene_index].density() {
+                field.set_map(&gpu, place, weather);
+            }
+            keys.push(PipelineKey {
+                kernel: Kernel::ProbeField,
+                features: layer_features(scene, layer.scene_index, &settings),
+            });
+        }
+        if keys.is_empty() {
+            keys.push(PipelineKey {
+                kernel: Kernel::ProbeField,
+                features: skycell_shaders::Features {
+                    density: skycell_shaders::Density::Homogeneous,
+                    ..Default::default()
+                },
+            });
+        }
+        for key in &keys {
+            pipelines.prepare(&gpu, *key)?;
+        }
+        let frame = CellFrame::at(origin_m, scene.planet().radius_m());
+        let light = sky_light(scene, active.first().map_or(0.0, |l| l.proxy_altitude_m));
+        let anchors = vec![frame.from_world(origin_m); active.len()];
+        let drifts = wind_drifts(scene, time_s);
+        let uniform = scene_uniform(scene, &active, &light, settings, &frame, &drifts, &anchors);
+        let mut cell = CellBuffers::new(&gpu, &pipelines, &field.bind_group);
+        cell.set_scene(&gpu, &uniform);
+        Ok(Self {
+            gpu,
+            pipelines,
+            cell,
+            keys,
+            uniform,
+            active,
+            frame,
+        })
+    }
+
+    /// What the shaders read of the scene.
+    #[must_use]
+    pub fn uniform(&self) -> &layout::Scene {
+        &self.uniform
+    }
+
+    /// Layers that are shown, lowest first.
+    #[must_use]
+    pub fn active(&self) -> &[ActiveLayer] {
+        &self.active
+    }
+
+    /// The frame that points are in.
+    #[must_use]
+    pub fn frame(&self) -> &CellFrame {
+        &self.frame
+    }
+
+    /// The values at the points; `layer` counts those that are shown.
+    ///
+    /// # Errors
+    /// When the device is lost or there is no such layer.
+    pub fn ask(
+        &self,
+        question: FieldQuestion,
+        layer: usize,
+        points: &[FieldPoint],
+    ) -> Result<Vec<FieldValue>, GpuError> {
+        let no_layer = || GpuError::Device(format!("there is no layer {layer}"));
+        let key = self.keys.get(layer).ok_or_else(no_layer)?;
+        let pipeline = self.pipelines.get(*key).ok_or_else(no_layer)?;
+        let asked = [question as u32, points.len() as u32, layer as u32, 0];
+        let round = Round::new(&self.gpu, points, 32, asked);
+        let data = group(
+            &self.gpu,
+            &self.pipelines.points_layout,
+            &[&round.points, &round.values],
+        );
+        let asked = group(
+            &self.gpu,
+            &self.pipelines.question_layout,
+            &[&round.question],
+        );
+        let mut encoder = self
+            .gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            pass.set_pipeline(pipeline);
+            pass.set_bind_group(0, &self.cell.scene_group, &[]);
+            pass.set_bind_group(1, self.cell.field_group(), &[]);
+            pass.set_bind_group(2, &data, &[]);
+            pass.set_bind_group(3, &asked, &[]);
+            pass.dispatch_workgroups(round.groups, 1, 1);
+        }
+        self.gpu.queue.submit([encoder.finish()]);
+        round.read(&self.gpu, points.len())
+    }
+}
