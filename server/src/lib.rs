@@ -28,3 +28,4 @@ pub mod api;
 pub mod doctor;
 pub mod render_command;
 pub mod service;
+pub mod truth;

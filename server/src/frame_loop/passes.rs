@@ -7,7 +7,9 @@ use crate::cache::{SphereId, TileUpdate};
 use crate::clock::unix_now_us;
 use crate::composite::{CompositeInputs, Picture, composite_key};
 use crate::gpu::{GpuError, PipelineKey, TimedPass};
-use crate::march::{BATCH_TILES_MAX, MarchedPixels, PixelStrip, TexelGroup, layer_features};
+use crate::march::{
+    ActiveLayer, BATCH_TILES_MAX, MarchedPixels, PixelStrip, TexelGroup, layer_features,
+};
 use glam::DVec3;
 use skycell_protocol::{CellId, FrameSequence, RendererKind, Scene, ViewerId};
 use skycell_shaders::{Features, layout};
@@ -16,9 +18,12 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-/// Radius of the ground, where there is one.
-fn ground_radius_m(scene: &Scene) -> Option<f64> {
-    (!scene.planet().is_flat()).then(|| scene.planet().radius_m())
+/// Radius of the ground, where there is one and no cloud can stand in front of it.
+fn ground_radius_m(scene: &Scene, active: &[ActiveLayer], view: &layout::View) -> Option<f64> {
+    let is_below = |layer: &ActiveLayer| {
+        f64::from(view.altitude_m) < scene.layers()[layer.scene_index].base_altitude_m()
+    };
+    (!scene.planet().is_flat() && active.iter().all(is_below)).then(|| scene.planet().radius_m())
 }
 
 impl SkyRenderer {
@@ -235,7 +240,7 @@ impl SkyRenderer {
                 scene: &cell.buffers.scene_group,
                 layers: &layers,
                 view: &view,
-                ground_radius_m: ground_radius_m(&self.scene),
+                ground_radius_m: ground_radius_m(&self.scene, &self.active, &view),
             },
         );
         self.counters.dispatches += 1;
@@ -280,7 +285,7 @@ impl SkyRenderer {
                 scene: &cell.buffers.scene_group,
                 layers: &layers,
                 view: &view,
-                ground_radius_m: ground_radius_m(&self.scene),
+                ground_radius_m: ground_radius_m(&self.scene, &self.active, &view),
             },
         );
         self.timing.resolve(&mut encoder);

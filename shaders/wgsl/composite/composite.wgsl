@@ -2,7 +2,7 @@
 #import skycell::march::{scene, LayerRadiance}
 #import skycell::scene::{Scene, Layer}
 #import skycell::shell::shell_roots
-#import skycell::shade::{Background, Ray, background, pixel_ray, background_radiance, sun_phase_per_sr, layer_over}
+#import skycell::shade::{Background, Ray, background, hidden_by_ground, pixel_ray, background_radiance, sun_phase_per_sr, layer_over}
 #import skycell::tone::{balanced, filmic, srgb_from_linear, dithered_bytes}
 #import skycell::view::{View, PageTable, ListedRay, pixel_direction}
 #import skycell::shell::altitude_m
@@ -60,14 +60,15 @@ fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, layer
     let cloud = marched_pixel(eye, layer_index, pixel);
 #endif
     // Samples of the pixels at the horizon reach above it; the middle of the pixel decides, as it does for the cache.
-    let seen = select(1.0, 0.0, ray.on_ground);
-    let transmittance = select(cloud.transmittance, 1.0, ray.on_ground);
+    let hidden = hidden_by_ground(ray, layer.base_altitude_m);
+    let seen = select(1.0, 0.0, hidden);
+    let transmittance = select(cloud.transmittance, 1.0, hidden);
     return LayerRadiance(seen * cloud.single, seen * cloud.octaves, seen * cloud.ambient, transmittance, seen * cloud.opacity_distance_m);
 #else
     let sphere = shell_roots(world.planet.radius_m, layer.proxy_altitude_m, eye.position, eye.altitude_m, ray.direction);
     let on_sphere = eye.position + ray.direction * max(sphere.far_m, 1e-3);
     // Texels straddle the horizon; the viewer's own ray decides whether the ground hides the layer.
-    return cached_radiance(table, on_sphere - layer.anchor, ray.on_ground);
+    return cached_radiance(table, on_sphere - layer.anchor, hidden_by_ground(ray, layer.base_altitude_m));
 #endif
 }
 
@@ -83,6 +84,25 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
 #if LAYERS >= 1
     let phase = sun_phase_per_sr(world, ray);
 #endif
+#ifdef SCREEN_SPACE
+#if LAYERS >= 1
+    // Layers are sorted by altitude. A ray leaves those above the eye behind it in rising order, those below in falling
+    // order; the farthest is blended first.
+    for (var k = 0u; k < #{LAYERS}u; k += 1u) {
+        let above = #{LAYERS}u - 1u - k;
+        if world.layers[above].proxy_altitude_m >= ray.origin_altitude_m {
+            let cloud = layer_radiance(world, eye, world.layers[above], eye.tables[above], above, pixel, ray);
+            radiance = layer_over(world, back, phase, radiance, cloud, world.layers[above].air_extinction_per_m);
+        }
+    }
+    for (var k = 0u; k < #{LAYERS}u; k += 1u) {
+        if world.layers[k].proxy_altitude_m < ray.origin_altitude_m {
+            let cloud = layer_radiance(world, eye, world.layers[k], eye.tables[k], k, pixel, ray);
+            radiance = layer_over(world, back, phase, radiance, cloud, world.layers[k].air_extinction_per_m);
+        }
+    }
+#endif
+#else
     // Layers are sorted by altitude; from below the highest lies farthest back. Written out with constant indices, so
     // that all of them are read before the first pixel.
 #if LAYERS >= 4
@@ -100,6 +120,7 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
 #if LAYERS >= 1
     let first = layer_radiance(world, eye, world.layers[0], eye.tables[0], 0u, pixel, ray);
     radiance = layer_over(world, back, phase, radiance, first, world.layers[0].air_extinction_per_m);
+#endif
 #endif
     return radiance;
 }

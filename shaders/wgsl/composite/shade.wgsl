@@ -25,6 +25,13 @@ struct Ray {
     angle: f32,
     /// The ray ends on the ground.
     on_ground: bool,
+    /// Altitude of its origin, m.
+    origin_altitude_m: f32,
+}
+
+/// Whether the ground hides a layer from a ray: where the ray ends on the ground below the layer.
+fn hidden_by_ground(ray: Ray, base_altitude_m: f32) -> bool {
+    return ray.on_ground && ray.origin_altitude_m < base_altitude_m;
 }
 
 /// Towards a direction from a position; altitude_m must be that of the position.
@@ -47,7 +54,7 @@ fn background(world: Scene, position: vec3f, altitude_m: f32, direction: vec3f) 
 fn pixel_ray(world: Scene, position: vec3f, altitude_m: f32, direction: vec3f) -> Ray {
     let b = dot(direction, position) + world.planet.radius_m * direction.y;
     let c = altitude_m * (altitude_m + 2.0 * world.planet.radius_m);
-    return Ray(direction, one_minus_mu(direction, world.sun.direction), b < 0.0 && b * b >= c && world.planet.has_ground > 0.0);
+    return Ray(direction, one_minus_mu(direction, world.sun.direction), b < 0.0 && b * b >= c && world.planet.has_ground > 0.0, altitude_m);
 }
 
 /// What a ray sees where no cloud is: sky and sun, or the ground.

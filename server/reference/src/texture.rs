@@ -1,0 +1,231 @@
+//! Textures as a sampler is specified to read them, in f64: texel centres at (i + ½)/n, linear between them, bytes as
+//! fractions of 255 (WebGPU, "texel sampling"; unorm8).
+
+use crate::ReferenceError;
+
+/// Most texels along an edge.
+const EDGE_MAX: u32 = 65_536;
+
+/// Lower texel and share of the upper one at a coordinate in texels.
+fn split(texels: f64) -> (i64, f64) {
+    let shifted = texels - 0.5;
+    let floor = shifted.floor();
+    (floor as i64, shifted - floor)
+}
+
+/// Both texels of a repeating edge.
+fn wrapped(texels: f64, size: u32) -> (usize, usize, f64) {
+    let (low, share) = split(texels);
+    let size = i64::from(size);
+    let low = low.rem_euclid(size);
+    let high = if low + 1 == size { 0 } else { low + 1 };
+    (low as usize, high as usize, share)
+}
+
+/// Both texels of a clamped edge.
+pub(crate) fn clamped(texels: f64, size: u32) -> (usize, usize, f64) {
+    let (low, share) = split(texels);
+    let last = i64::from(size) - 1;
+    (
+        low.clamp(0, last) as usize,
+        (low + 1).clamp(0, last) as usize,
+        share,
+    )
+}
+
+fn mix(a: f64, b: f64, share: f64) -> f64 {
+    a + (b - a) * share
+}
+
+fn check(what: &str, sizes: &[u32], channels: usize, given: usize) -> Result<(), ReferenceError> {
+    if sizes.iter().any(|n| *n == 0 || *n > EDGE_MAX) {
+        return Err(ReferenceError::WrongSize {
+            what: what.to_owned(),
+        });
+    }
+    // At most 2^48 · 2, which a usize of 64 bits holds; on smaller machines the product saturates.
+    let expected = sizes
+        .iter()
+        .fold(channels, |n, size| n.saturating_mul(*size as usize));
+    if given == expected {
+        Ok(())
+    } else {
+        Err(ReferenceError::WrongLength {
+            what: what.to_owned(),
+            given,
+            expected,
+        })
+    }
+}
+
+/// A map of bytes, row by row.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ByteMap {
+    width: u32,
+    height: u32,
+    texels: Vec<u8>,
+}
+
+impl ByteMap {
+    /// A map; `what` names it in errors.
+    ///
+    /// # Errors
+    /// If there are not width × height texels.
+    pub fn new(
+        what: &str,
+        width: u32,
+        height: u32,
+        texels: Vec<u8>,
+    ) -> Result<Self, ReferenceError> {
+        check(what, &[width, height], 1, texels.len())?;
+        Ok(Self {
+            width,
+            height,
+            texels,
+        })
+    }
+
+    /// Texels along a row.
+    #[must_use]
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Rows.
+    #[must_use]
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// The texel of a column and a row that repeat.
+    #[must_use]
+    pub fn texel_repeated(&self, x: i64, y: i64) -> u8 {
+        let x = x.rem_euclid(i64::from(self.width)) as usize;
+        let y = y.rem_euclid(i64::from(self.height)) as usize;
+        self.texels[y * self.width as usize + x]
+    }
+
+    fn mixed(&self, (x0, x1, fx): (usize, usize, f64), (y0, y1, fy): (usize, usize, f64)) -> f64 {
+        let width = self.width as usize;
+        let at = |x: usize, y: usize| f64::from(self.texels[y * width + x]);
+        let upper = mix(at(x0, y0), at(x1, y0), fx);
+        let lower = mix(at(x0, y1), at(x1, y1), fx);
+        mix(upper, lower, fy) / 255.0
+    }
+
+    /// The value at texture coordinates that repeat after 1.
+    #[must_use]
+    pub fn repeated(&self, u: f64, v: f64) -> f64 {
+        self.mixed(
+            wrapped(u * f64::from(self.width), self.width),
+            wrapped(v * f64::from(self.height), self.height),
+        )
+    }
+
+    /// The value at texture coordinates in 0…1, beyond which the edge's goes on.
+    #[must_use]
+    pub fn clamped(&self, u: f64, v: f64) -> f64 {
+        self.mixed(
+            clamped(u * f64::from(self.width), self.width),
+            clamped(v * f64::from(self.height), self.height),
+        )
+    }
+}
+
+/// A cube of texels with two bytes each, x fastest, then y, then z; it repeats.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ByteVolume {
+    size: u32,
+    texels: Vec<u8>,
+}
+
+impl ByteVolume {
+    /// A volume with `size` texels along each edge; `what` names it in errors.
+    ///
+    /// # Errors
+    /// If there are not 2 size³ bytes.
+    pub fn new(what: &str, size: u32, texels: Vec<u8>) -> Result<Self, ReferenceError> {
+        check(what, &[size, size, size], 2, texels.len())?;
+        Ok(Self { size, texels })
+    }
+
+    /// Texels along an edge.
+    #[must_use]
+    pub fn size(&self) -> u32 {
+        self.size
+    }
+
+    /// Both channels of the texel at indices that repeat.
+    #[must_use]
+    pub fn texel(&self, index: [i64; 3]) -> [u8; 2] {
+        let n = i64::from(self.size);
+        let [x, y, z] = index.map(|i| i.rem_euclid(n) as usize);
+        let at = 2 * ((z * n as usize + y) * n as usize + x);
+        [self.texels[at], self.texels[at + 1]]
+    }
+
+    /// Both channels at coordinates that repeat after 1.
+    #[must_use]
+    pub fn repeated(&self, at: [f64; 3]) -> [f64; 2] {
+        let n = self.size as usize;
+        let [x, y, z] = at.map(|u| wrapped(u * f64::from(self.size), self.size));
+        let line = |y: usize, z: usize| {
+            let row = 2 * (z * n + y) * n;
+            let (a, b) = (row + 2 * x.0, row + 2 * x.1);
+            let value = |i: usize| f64::from(self.texels[i]);
+            [
+                mix(value(a), value(b), x.2),
+                mix(value(a + 1), value(b + 1), x.2),
+            ]
+        };
+        let plane = |z: usize| {
+            let (low, high) = (line(y.0, z), line(y.1, z));
+            [mix(low[0], high[0], y.2), mix(low[1], high[1], y.2)]
+        };
+        let (low, high) = (plane(z.0), plane(z.1));
+        [
+            mix(low[0], high[0], z.2) / 255.0,
+            mix(low[1], high[1], z.2) / 255.0,
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texel_centres_hold_their_bytes_and_edges_wrap_or_clamp() {
+        let map = ByteMap::new("map", 4, 2, vec![0, 51, 102, 255, 255, 0, 0, 0]).expect("a map");
+        let close = |a: f64, b: f64| (a - b).abs() < 1e-12;
+        assert!(close(map.repeated(0.375, 0.25), 0.2));
+        assert!(close(map.repeated(1.375, -0.75), 0.2));
+        // Between the last and the first texel of a row.
+        assert!(close(map.repeated(0.0, 0.25), 0.5));
+        assert!(close(map.clamped(0.0, 0.25), 0.0));
+        assert!(close(map.clamped(2.0, 0.25), 1.0));
+        // In the middle of four texels.
+        assert!(close(map.repeated(0.25, 0.5), (0.0 + 0.2 + 1.0) / 4.0));
+    }
+
+    #[test]
+    fn a_volume_is_linear_between_its_texels() {
+        let mut texels = vec![0u8; 2 * 27];
+        // Texel (1, 2, 0).
+        texels[2 * 7] = 255;
+        texels[2 * 7 + 1] = 51;
+        let volume = ByteVolume::new("volume", 3, texels).expect("a volume");
+        let [a, b] = volume.repeated([0.5, 2.5 / 3.0, 0.5 / 3.0]);
+        assert!((a - 1.0).abs() < 1e-12 && (b - 0.2).abs() < 1e-12);
+        // Half way to each neighbour, across the wrapped edge of y and z.
+        let [a, _] = volume.repeated([2.0 / 3.0, 0.0, 0.0]);
+        assert!((a - 0.125).abs() < 1e-12);
+        assert_eq!(volume.texel([-2, 5, 3]), [255, 51]);
+    }
+
+    #[test]
+    fn data_that_does_not_fill_its_size_is_refused() {
+        assert!(ByteMap::new("map", 2, 2, vec![0; 5]).is_err());
+        assert!(ByteVolume::new("volume", 0, Vec::new()).is_err());
+    }
+}

@@ -1,0 +1,9 @@
+//! The reference against closed forms, independent solvers and itself.
+
+mod closed_forms;
+mod disort;
+mod furnace;
+mod phases;
+mod single_scattering;
+mod support;
+mod tracking;

@@ -1,0 +1,201 @@
+//! What `skycell-server render` can be told.
+
+use crate::march::MarchSettings;
+use skycell_reference::Approximations;
+use std::path::PathBuf;
+
+/// What to render, how, and where to.
+#[derive(Clone, Debug, clap::Args)]
+pub struct RenderArguments {
+    /// Scene document; the default scene without it. Files of voxels that it names lie beside it.
+    #[arg(long)]
+    pub scene: Option<PathBuf>,
+    /// Which renderer.
+    #[arg(long, value_enum, default_value_t = StillKind::Cached)]
+    pub renderer: StillKind,
+    /// Where to write: .png (as it is shown), .exr (linear radiance) or, with --rays, .json.
+    #[arg(long)]
+    pub out: PathBuf,
+    /// Width, pixels.
+    #[arg(long, default_value_t = 1280)]
+    pub width: u32,
+    /// Height, pixels.
+    #[arg(long, default_value_t = 720)]
+    pub height: u32,
+    /// Eye: x (east), altitude, z (south), metres.
+    #[arg(long, value_delimiter = ',', num_args = 1, value_name = "X,Y,Z", default_values_t = [0.0, 2.0, 0.0], allow_negative_numbers = true)]
+    pub position_m: Vec<f64>,
+    /// Where the middle of the picture looks, clockwise from north.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    pub yaw_deg: f64,
+    /// And above the horizon.
+    #[arg(long, default_value_t = 15.0, allow_negative_numbers = true)]
+    pub pitch_deg: f64,
+    /// Vertical field of view.
+    #[arg(long, default_value_t = 60.0)]
+    pub fov_deg: f64,
+    /// Parallel rays from a rectangle of this height about the eye, metres, instead of a field of view.
+    #[arg(long, value_name = "M", conflicts_with = "rays")]
+    pub orthographic_height_m: Option<f64>,
+    /// Rays instead of a camera: {"rays": [{"origin_m": [x, altitude, z], "direction": [x, y, z]}, …]}. Directions are in the
+    /// axes of the place under the first ray's origin: east, up, south.
+    #[arg(long, value_name = "FILE")]
+    pub rays: Option<PathBuf>,
+    /// Reference point of the cached renderer, when it is not the eye.
+    #[arg(
+        long,
+        value_delimiter = ',',
+        num_args = 1,
+        value_name = "X,Y,Z",
+        allow_negative_numbers = true
+    )]
+    pub reference_m: Option<Vec<f64>>,
+    /// Samples: per texel or pixel, 1 to 16 (without: 8); paths per pixel of the path tracer, up to 1e9 (without: 64).
+    #[arg(long)]
+    pub samples: Option<u64>,
+    /// The path tracer goes on until the largest standard error of a pixel is this share of its radiance (or of a hundredth
+    /// of the brightest pixel's), in rounds that double the paths, to 1e6 a pixel at most.
+    #[arg(long, value_name = "SHARE", conflicts_with = "samples")]
+    pub until_error: Option<f64>,
+    /// Another number, other paths. The same number gives the same bits, however many threads there are.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Orders of scattering that the path tracer counts: all, or up to a number; there is no other limit. The marching
+    /// renderers know 1 (single scattering) and all (the scene's octaves).
+    #[arg(long, default_value = "all", value_name = "all|N")]
+    pub orders: String,
+    /// The sun of the path tracer.
+    #[arg(long, value_enum, default_value_t = SunChoice::Disc)]
+    pub sun: SunChoice,
+    /// Steps through a layer's thickness, 1 to 4096 (without: 128). With it the reference takes the same samples as the
+    /// device; without it its steps are halved until nothing changes.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub steps: Option<u32>,
+    /// Samples towards the sun, 1 to 64; without: the scene's.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub sun_steps: Option<u32>,
+    /// Relative change that counts as none when the reference halves its steps.
+    #[arg(long, default_value_t = 1e-4)]
+    pub tolerance: f64,
+    /// Approximations that take part; what is not named is off. Without: all for .png, none for numbers (.exr, --rays).
+    #[arg(long, value_enum, value_delimiter = ',', num_args = 1..)]
+    pub approximations: Option<Vec<Approximation>>,
+    /// How the device interpolates maps, noise and voxels. Without: sampler for .png, exact for numbers.
+    #[arg(long, value_enum)]
+    pub interpolation: Option<Interpolation>,
+    /// Halvings of the cache's resolution below the screen's.
+    #[arg(long, default_value_t = 0.0)]
+    pub mip_bias: f32,
+    /// The screen-space renderer marches this many times fewer columns and rows: 1, 2 or 4.
+    #[arg(long, default_value_t = 1)]
+    pub resolution_divisor: u32,
+    /// Seconds for which the wind has blown.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    pub time_s: f64,
+    /// Folder in which noise is kept.
+    #[arg(long, env = "SKYCELL_CACHE_DIR")]
+    pub noise_cache_dir: Option<PathBuf>,
+    /// Print figures as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Renderers of single pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum StillKind {
+    /// One ray per pixel, on the device.
+    ScreenSpace,
+    /// One ray per texel of the proxy spheres, composited, on the device.
+    Cached,
+    /// The same model in f64 on the processor, marched until it no longer changes.
+    Reference,
+    /// Unbiased transport through the same density in f64 on the processor.
+    PathTraced,
+}
+
+/// The sun as the path tracer looks for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum SunChoice {
+    /// 0.2666° in radius.
+    Disc,
+    /// One direction.
+    Point,
+}
+
+/// What makes a picture cheaper or nicer and numbers harder to compare.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Approximation {
+    /// Noise that frays the edges of clouds, and fades with distance.
+    DetailNoise,
+    /// Light of sky and ground in clouds.
+    Ambient,
+    /// Air in front of clouds.
+    AerialPerspective,
+    /// Samples beside the middles of pixels and steps, averaged over several: temporal reuse.
+    Jitter,
+    /// Rays end where hardly any light comes through.
+    EarlyExit,
+    /// A pattern of half an 8-bit step against bands (.png alone).
+    Dither,
+    /// The tone curve (.png alone; without it linear values are cut off at 1).
+    ToneMap,
+    /// All of these.
+    All,
+    /// None of these.
+    None,
+}
+
+/// How values between texels come about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Interpolation {
+    /// By the device's sampler, whose weights have 8 bits or so.
+    Sampler,
+    /// Loaded and mixed in f32.
+    Exact,
+}
+
+/// The approximations that take part.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chosen(Vec<Approximation>);
+
+impl Chosen {
+    /// What is named, or all or none of them.
+    #[must_use]
+    pub fn new(named: Option<&[Approximation]>, numbers: bool) -> Self {
+        let default = if numbers {
+            Approximation::None
+        } else {
+            Approximation::All
+        };
+        Self(named.map_or_else(|| vec![default], <[Approximation]>::to_vec))
+    }
+
+    /// Whether one takes part.
+    #[must_use]
+    pub fn has(&self, wanted: Approximation) -> bool {
+        self.0.contains(&wanted) || self.0.contains(&Approximation::All)
+    }
+
+    /// Those that the reference knows.
+    #[must_use]
+    pub fn of_reference(&self) -> Approximations {
+        Approximations {
+            detail_noise: self.has(Approximation::DetailNoise),
+            ambient: self.has(Approximation::Ambient),
+            aerial_perspective: self.has(Approximation::AerialPerspective),
+        }
+    }
+
+    /// Settings of the device's march with them.
+    #[must_use]
+    pub fn of_march(&self, settings: MarchSettings) -> MarchSettings {
+        MarchSettings {
+            early_exit: self.has(Approximation::EarlyExit),
+            jitter: self.has(Approximation::Jitter),
+            detail_noise: self.has(Approximation::DetailNoise),
+            ambient: self.has(Approximation::Ambient),
+            aerial_perspective: self.has(Approximation::AerialPerspective),
+            ..settings
+        }
+    }
+}
