@@ -6,6 +6,7 @@ pub mod clock;
 pub mod config;
 pub mod metrics;
 
+pub mod quality;
 pub mod scene;
 pub mod viewers;
 
