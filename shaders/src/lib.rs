@@ -246,11 +246,27 @@ pub struct ShaderError {
     message: String,
 }
 
+/// What stands in the place of a module's source: gets its path and its text. Tests plant defects with it, to show that
+/// they are found.
+pub type SourceEdit = fn(&str, &str) -> String;
+
 /// Links a kernel with its modules.
 ///
 /// # Errors
 /// When the WGSL does not parse or validate; the message points to the place.
 pub fn compose(kernel: Kernel, features: Features) -> Result<naga::Module, ShaderError> {
+    compose_edited(kernel, features, |_, source| source.to_owned())
+}
+
+/// As [`compose`], of edited sources.
+///
+/// # Errors
+/// When what comes of the edit does not parse or validate.
+pub fn compose_edited(
+    kernel: Kernel,
+    features: Features,
+    edit: SourceEdit,
+) -> Result<naga::Module, ShaderError> {
     let error = |message: String| ShaderError {
         kernel,
         features,
@@ -260,7 +276,7 @@ pub fn compose(kernel: Kernel, features: Features) -> Result<naga::Module, Shade
     let mut composer = Composer::default();
     for (path, source) in MODULES {
         let added = composer.add_composable_module(ComposableModuleDescriptor {
-            source,
+            source: &edit(path, source),
             file_path: path,
             shader_defs: definitions.clone(),
             ..Default::default()
@@ -272,7 +288,7 @@ pub fn compose(kernel: Kernel, features: Features) -> Result<naga::Module, Shade
     let (path, source) = kernel.source();
     composer
         .make_naga_module(NagaModuleDescriptor {
-            source,
+            source: &edit(path, source),
             file_path: path,
             shader_defs: definitions,
             ..Default::default()

@@ -2,6 +2,7 @@
 
 pub mod accuracy;
 pub mod browser;
+pub mod numbers;
 pub mod picture;
 pub mod server;
 pub mod viewer;

@@ -67,6 +67,16 @@ impl StillRenderer {
         self.renderer.set_scene(scene, revision)
     }
 
+    /// For tests: pictures are made by edited shaders, until `None` brings the true ones back.
+    ///
+    /// # Errors
+    /// When what comes of the edit is no shader.
+    pub fn plant(&mut self, edit: Option<skycell_shaders::SourceEdit>) -> Result<(), GpuError> {
+        self.renderer.pipelines.plant(edit);
+        let scene = self.renderer.scene.clone();
+        self.set_scene(scene)
+    }
+
     /// Sums of what was done so far.
     #[must_use]
     pub fn totals(&self) -> RenderTotals {

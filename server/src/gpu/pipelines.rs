@@ -1,7 +1,7 @@
 //! Compute pipelines, made once per specialisation and never in a frame.
 
 use super::{Gpu, GpuError};
-use skycell_shaders::{Features, Kernel, compose};
+use skycell_shaders::{Features, Kernel, SourceEdit, compose, compose_edited};
 use std::borrow::Cow;
 use std::collections::HashMap;
 
@@ -47,6 +47,7 @@ pub struct Pipelines {
     /// Stands where a picture has no list of rays.
     pub no_rays: wgpu::Buffer,
     made: HashMap<PipelineKey, wgpu::ComputePipeline>,
+    edit: Option<SourceEdit>,
 }
 
 fn uniform() -> wgpu::BindingType {
@@ -203,6 +204,7 @@ impl Pipelines {
             empty_layout,
             empty_group,
             made: HashMap::new(),
+            edit: None,
         }
     }
 
@@ -253,7 +255,10 @@ impl Pipelines {
         if self.made.contains_key(&key) {
             return Ok(());
         }
-        let module = compose(key.kernel, key.features)?;
+        let module = match self.edit {
+            Some(edit) => compose_edited(key.kernel, key.features, edit)?,
+            None => compose(key.kernel, key.features)?,
+        };
         let shader = own_shader_module(gpu, key.kernel, module);
         let groups = self.groups(key).map(Some);
         let pipeline_layout = gpu
@@ -275,6 +280,12 @@ impl Pipelines {
             });
         self.made.insert(key, pipeline);
         Ok(())
+    }
+
+    /// For tests: pipelines are made anew, of edited sources; `None` brings the true ones back.
+    pub fn plant(&mut self, edit: Option<SourceEdit>) {
+        self.edit = edit;
+        self.made.clear();
     }
 
     /// A pipeline that [`Self::prepare`] has made.

@@ -4,7 +4,8 @@ use super::{CellFrame, MarchSettings, SkyLight};
 use crate::field::{SKIP_RANGE_SHARE, mean_height_fraction};
 use glam::DVec3;
 use skycell_protocol::Scene;
-use skycell_protocol::scene::{DensityModel, PhaseFunction, Shape};
+use skycell_protocol::camera::POSITION_ALTITUDE_M;
+use skycell_protocol::scene::{CloudLayer, DensityModel, PhaseFunction, Shape};
 use skycell_shaders::{Density, Features, layout};
 
 /// Factor from radiance (per unit of the sun's spectral irradiance in W/(m² nm)) to the tone curve at 0 EV.
@@ -40,7 +41,8 @@ pub fn active_layers(scene: &Scene) -> Vec<ActiveLayer> {
             };
             covers
                 && layer.extinction_per_m() > 0.0
-                && layer.top_altitude_m() > layer.base_altitude_m()
+                // As shaders see it.
+                && layer.top_altitude_m() as f32 > layer.base_altitude_m() as f32
         })
         .map(|(scene_index, layer)| {
             let height_fraction = match layer.density() {
@@ -65,7 +67,7 @@ pub fn layer_features(scene: &Scene, scene_index: usize, settings: &MarchSetting
     let layer = scene.layers().get(scene_index);
     Features {
         octave_vectors: octaves.div_ceil(4),
-        density: match layer.map(skycell_protocol::scene::CloudLayer::density) {
+        density: match layer.map(CloudLayer::density) {
             Some(DensityModel::Weather(_)) => Density::Weather,
             Some(DensityModel::Grid(_)) => Density::Grid,
             Some(DensityModel::Homogeneous(_)) | None => Density::Homogeneous,
@@ -238,6 +240,22 @@ pub fn grid_first_slices(scene: &Scene) -> Vec<u32> {
         .collect()
 }
 
+/// Steps that no ray exceeds when they grow with distance: from the highest eye over the horizon to the layer's top
+/// behind it, ∫ ds / length. A ray that ended earlier would see through haze.
+fn steps_of_longest_ray(radius_m: f64, layer: &CloudLayer, steps: f64) -> u32 {
+    let to_horizon_m = |altitude_m: f64| (altitude_m * (2.0 * radius_m + altitude_m)).sqrt();
+    let longest_m = to_horizon_m(POSITION_ALTITUDE_M.max) + to_horizon_m(layer.top_altitude_m());
+    let thickness_m = layer.top_altitude_m() - layer.base_altitude_m();
+    // Steps grow beyond twice the thickness.
+    let relative = longest_m / (2.0 * thickness_m);
+    let lengths = if relative > 1.0 {
+        1.0 + relative.ln()
+    } else {
+        relative
+    };
+    (2.0 * steps * lengths).ceil() as u32 + 1
+}
+
 fn layer_uniform(
     scene: &Scene,
     active: ActiveLayer,
@@ -270,7 +288,7 @@ fn layer_uniform(
             1e-9
         },
         steps_max: if settings.adaptive_step {
-            4 * settings.steps.max(1)
+            steps_of_longest_ray(scene.planet().radius_m(), layer, steps)
         } else {
             STEPS_MAX
         },

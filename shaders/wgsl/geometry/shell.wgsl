@@ -50,9 +50,10 @@ fn layer_intervals(planet_radius_m: f32, has_ground: bool, base_altitude_m: f32,
     let top = shell_roots(planet_radius_m, top_altitude_m, origin, altitude, direction);
     var intervals = LayerIntervals(0.0, 0.0, 0.0, 0.0);
     let start_m = max(top.near_m, 0.0);
-    // A line that misses the ground, or meets it behind the origin, is not cut.
-    let ground_cuts = has_ground && ground.hit && ground.near_m > 0.0;
-    let end_m = select(top.far_m, min(top.far_m, ground.near_m), ground_cuts);
+    // A line that misses the ground, or meets it behind the origin, is not cut. Where the middle of the chord lies decides,
+    // as it does for pixels: on the ground itself the near root is 0 or, by rounding, a little less.
+    let ground_cuts = has_ground && ground.hit && ground.near_m + ground.far_m > 0.0;
+    let end_m = select(top.far_m, min(top.far_m, max(ground.near_m, 0.0)), ground_cuts);
     let some = top.hit && end_m > start_m;
     intervals.first_start_m = start_m;
     intervals.first_end_m = select(start_m, select(end_m, clamp(base.near_m, start_m, end_m), base.hit), some);

@@ -36,8 +36,9 @@ fn phase_per_sr(light: Light, eccentricity: f32, one_minus_mu: f32) -> f32 {
     return mix(hg, draine, light.draine_weight);
 }
 
-/// The phase averaged over the sun's disc, to first order: the mean of 1-µ over a small disc of angular radius r is
-/// (1-µ) + r²/4 = (1-µ) + (1 - cos r)/2. This tames a forward peak that is narrower than the sun.
+/// The phase averaged over the sun's disc, to first order: at the mean of 1-µ over it. The mean of µ over a cap of angular
+/// radius r is µ (1 + cos r)/2, so that of 1-µ is (1-µ) + µ (1 - cos r)/2. This tames a peak that is narrower than the sun,
+/// forward or backward.
 fn phase_over_disc_per_sr(light: Light, eccentricity: f32, one_minus_mu: f32, one_minus_mu_disc: f32) -> f32 {
-    return phase_per_sr(light, eccentricity, min(one_minus_mu + 0.5 * one_minus_mu_disc, 2.0));
+    return phase_per_sr(light, eccentricity, one_minus_mu + (1.0 - one_minus_mu) * 0.5 * one_minus_mu_disc);
 }

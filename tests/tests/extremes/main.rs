@@ -1,0 +1,74 @@
+//! Every parameter at its ends and past them, on the renderer that makes the frames: no NaN, no infinity, nothing
+//! negative, and a bound per case against a closed form, or against what must be the same picture.
+//!
+//! Each line prints its number of cases and how near the worst came to its bound (`-- --nocapture`).
+
+mod camera;
+mod depth;
+mod fields;
+mod frames;
+mod layers;
+mod line;
+mod octaves;
+mod phase;
+mod place;
+mod planted;
+mod shells;
+mod stage;
+mod steps;
+mod sun;
+
+use line::Line;
+use stage::{Stage, stage};
+
+/// How many cases each line has.
+const CASES: [(fn(&mut Stage) -> Line, usize); 13] = [
+    (sun::anywhere, 102),
+    (sun::along_the_ray, 8),
+    (camera::anywhere, 94),
+    (shells::grazed, 81),
+    (depth::any, 51),
+    (layers::any, 14),
+    (fields::coverage, 24),
+    (fields::grids, 15),
+    (phase::sharpest, 30),
+    (octaves::any, 132),
+    (steps::any, 15),
+    (place::anywhere_and_anytime, 18),
+    (frames::any, 12),
+];
+
+fn check(index: usize) {
+    let (run, cases) = CASES[index];
+    run(&mut stage()).finish(cases);
+}
+
+#[test]
+fn there_are_at_least_three_hundred_cases() {
+    let sum: usize = CASES.iter().map(|(_, cases)| cases).sum();
+    println!("{sum} cases");
+    assert!(sum >= 300);
+}
+
+macro_rules! lines {
+    ($($name:ident = $index:expr;)*) => {$(
+        #[test]
+        fn $name() { check($index); }
+    )*};
+}
+
+lines! {
+    the_sun_may_stand_anywhere_and_at_night_all_is_black = 0;
+    the_sun_seen_along_a_ray_has_its_irradiance = 1;
+    the_camera_may_stand_and_look_anywhere = 2;
+    rays_that_graze_a_shell_cross_what_they_graze = 3;
+    clouds_may_be_thin_as_nothing_or_solid_as_rock = 4;
+    layers_may_be_flat_empty_solid_or_in_one_another = 5;
+    coverage_may_be_nothing_or_all = 6;
+    grids_may_have_any_edge_and_hold_nothing_but_densities = 7;
+    phases_may_be_as_sharp_as_the_document_allows = 8;
+    octaves_may_be_one_to_sixteen_of_any_factor = 9;
+    steps_may_be_one_or_thousands = 10;
+    clouds_are_the_same_from_every_cell_and_after_a_month = 11;
+    frames_may_have_any_size_of_the_document = 12;
+}

@@ -1,0 +1,138 @@
+//! Defects that are planted into the shaders, one at a time, and the line that finds each.
+
+use super::line::Line;
+use super::stage::{Stage, stage};
+use super::{camera, depth, layers, octaves, phase, shells};
+use skycell_shaders::SourceEdit;
+
+/// What is planted where; the text must be there.
+fn replaced(path: &str, source: &str, file: &str, from: &str, to: &str) -> String {
+    if path != file {
+        return source.to_owned();
+    }
+    assert!(source.contains(from), "{file} has no {from:?}");
+    source.replace(from, to)
+}
+
+macro_rules! edit {
+    ($file:expr, $from:expr, $to:expr) => {
+        |path, source| replaced(path, source, $file, $from, $to)
+    };
+}
+
+type Case = (
+    &'static str,
+    SourceEdit,
+    &'static str,
+    fn(&mut Stage) -> Line,
+);
+
+const DEFECTS: [Case; 9] = [
+    (
+        "shell roots from squares of radii",
+        edit!(
+            "geometry/shell.wgsl",
+            "let c = (origin_altitude_m - shell_altitude_m) * (origin_altitude_m + shell_altitude_m + 2.0 * planet_radius_m);",
+            "let at = vec3f(origin.x, origin.y + planet_radius_m, origin.z);
+             let c = dot(at, at) - (planet_radius_m + shell_altitude_m) * (planet_radius_m + shell_altitude_m);"
+        ),
+        "grazing rays",
+        shells::grazed,
+    ),
+    (
+        "(1 - e^-x)/x without its series",
+        edit!(
+            "light/transport.wgsl",
+            "select((1.0 - exp(-x)) / max(x, 1e-9), series, x < 1e-2)",
+            "(1.0 - exp(-x)) / max(x, 1e-30)"
+        ),
+        "optical depth",
+        depth::any,
+    ),
+    (
+        "radiance stored in halves without a bound",
+        edit!(
+            "march/accumulate.wgsl",
+            "let bounded = min(sample, vec4f(STORED_MAX));",
+            "let bounded = sample;"
+        ),
+        "octaves",
+        octaves::any,
+    ),
+    (
+        "a phase that is not normalised",
+        edit!(
+            "light/phase.wgsl",
+            "/ (FOUR_PI * base * sqrt(base))",
+            "/ (base * sqrt(base))"
+        ),
+        "phase",
+        phase::sharpest,
+    ),
+    (
+        "the cancelling denominator of the phase",
+        edit!(
+            "light/phase.wgsl",
+            "let base = (1.0 - sharpness) * (1.0 - sharpness) + 2.0 * sharpness * from_peak;",
+            "let base = 1.0 + g * g - 2.0 * g * (1.0 - one_minus_mu);"
+        ),
+        "phase",
+        phase::sharpest,
+    ),
+    (
+        "the sun's disc left out of a backward peak",
+        edit!(
+            "light/phase.wgsl",
+            "one_minus_mu + (1.0 - one_minus_mu) * 0.5 * one_minus_mu_disc",
+            "min(one_minus_mu + 0.5 * one_minus_mu_disc, 2.0)"
+        ),
+        "phase",
+        phase::sharpest,
+    ),
+    (
+        "a ground that does not hide what is under an eye that lies on it",
+        edit!(
+            "geometry/shell.wgsl",
+            "ground.hit && ground.near_m + ground.far_m > 0.0",
+            "ground.hit && ground.near_m > 0.0"
+        ),
+        "camera",
+        camera::anywhere,
+    ),
+    (
+        "layers blended from below wherever the eye is",
+        edit!(
+            "composite/composite.wgsl",
+            "let swapped = b.distance_m < a.distance_m;",
+            "let swapped = false;"
+        ),
+        "layers",
+        layers::any,
+    ),
+    (
+        "rays that end after four times their steps",
+        edit!(
+            "march/march.wgsl",
+            "for (var lit = 0u; lit < layer.steps_max; lit += 1u) {",
+            "for (var lit = 0u; lit < min(layer.steps_max, u32(4.0 * (layer.top_altitude_m - layer.base_altitude_m) / layer.step_min_m)); lit += 1u) {"
+        ),
+        "grazing rays",
+        shells::grazed,
+    ),
+];
+
+#[test]
+fn every_planted_defect_is_found() {
+    let mut stage = stage();
+    let mut missed = Vec::new();
+    for (what, edit, by, run) in DEFECTS {
+        stage.plant(Some(edit));
+        let worst = run(&mut stage).worst();
+        println!("{what}: found by \"{by}\" at {worst:.3e} of its bound");
+        if worst <= 1.0 {
+            missed.push(what);
+        }
+    }
+    stage.plant(None);
+    assert!(missed.is_empty(), "not found: {missed:?}");
+}
