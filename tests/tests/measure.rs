@@ -1,9 +1,14 @@
 //! `skycell-server measure trade` from the command line to the page, on whatever renders here.
 
 use serde_json::Value;
+use skycell_protocol::{Camera, FrameSize, RendererKind, Scene};
+use skycell_server::config::RenderConfig;
+use skycell_server::frame_loop::{StillRenderer, StillSettings};
+use skycell_server::measure::reference::{shown_picture, without_alpha};
 use skycell_tests::server::{binary, target_dir};
 use std::path::Path;
 use std::process::{Command, Output};
+use std::sync::Arc;
 
 fn measure(out: &Path, arguments: &[&str]) -> anyhow::Result<Output> {
     Ok(Command::new(binary("skycell-server")?)
@@ -137,6 +142,33 @@ fn wrong_arguments_are_named_with_what_is_allowed() -> anyhow::Result<()> {
         let error = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!output.status.success());
         assert!(said.iter().all(|word| error.contains(word)), "{error}");
+    }
+    Ok(())
+}
+
+/// The reference's shown picture is made from its radiance on the processor, the tested ones' on the device.
+#[test]
+fn the_shown_picture_of_radiance_is_the_devices_own() -> anyhow::Result<()> {
+    let config = RenderConfig::new(target_dir()?.join("noise-of-tests"));
+    let mut still = StillRenderer::new(config, Arc::default(), &[])?;
+    let size = FrameSize::new(64, 36)?;
+    let settings = StillSettings {
+        renderer: RendererKind::ScreenSpace,
+        samples: 1,
+        ..StillSettings::default()
+    };
+    let picture = still.render_with(Camera::default(), size, &settings, |_| {})?;
+    let shown = shown_picture(&without_alpha(&picture.linear), size, &Scene::default());
+    for (at, (ours, devices)) in shown
+        .as_raw()
+        .iter()
+        .zip(without_alpha(&picture.display))
+        .enumerate()
+    {
+        assert!(
+            ours.abs_diff(devices) <= 1,
+            "value {at}: {ours} and {devices}"
+        );
     }
     Ok(())
 }

@@ -98,8 +98,8 @@ impl Progress {
     /// It is done, with this result.
     pub fn done(&mut self, result: &str) {
         let seconds = self.begun.elapsed();
-        // What was read from disk tells nothing about how fast this machine renders.
-        if seconds > Duration::from_millis(20) {
+        // What was read from disk tells nothing about how fast this machine renders, nor does what is no point's work.
+        if self.work > 0.0 && seconds > Duration::from_millis(20) {
             self.estimate.done(self.work, seconds.as_secs_f64());
         } else {
             self.estimate.add(-self.work);

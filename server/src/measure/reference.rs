@@ -102,7 +102,7 @@ impl ReferenceSource {
         }
     }
 
-    /// Work in the unit of [`PointSettings::expected_work`]; of the processor a guess.
+    /// Work in the unit of [`PointSettings::expected_work`]; 0 of the processor, which tells nothing about the device.
     #[must_use]
     pub fn expected_work(&self) -> f64 {
         match self {
@@ -114,7 +114,7 @@ impl ReferenceSource {
                 // Interpolation in f32 reads eight texels for each of the sampler's.
                 8.0 * point.expected_work()
             }
-            Self::Converged { grid, .. } => 1e5 * f64::from(grid * grid),
+            Self::Converged { .. } => 0.0,
         }
     }
 }
