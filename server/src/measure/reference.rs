@@ -101,22 +101,6 @@ impl ReferenceSource {
             ),
         }
     }
-
-    /// Work in the unit of [`PointSettings::expected_work`]; 0 of the processor, which tells nothing about the device.
-    #[must_use]
-    pub fn expected_work(&self) -> f64 {
-        match self {
-            Self::ScreenSpace(StillSettings { march, samples, .. }) => {
-                let point = PointSettings {
-                    sun_steps: march.sun_steps,
-                    ..PointSettings::screen_space(march.steps, *samples)
-                };
-                // Interpolation in f32 reads eight texels for each of the sampler's.
-                8.0 * point.expected_work()
-            }
-            Self::Converged { .. } => 0.0,
-        }
-    }
 }
 
 /// What the f64 renderers need beside a camera.

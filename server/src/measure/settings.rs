@@ -158,8 +158,8 @@ impl PointSettings {
     pub fn expected_work(&self) -> f64 {
         let area = match self.renderer {
             RendererKind::ScreenSpace => f64::from(self.resolution_divisor).powi(-2),
-            // Texels are a little finer than pixels, and whole tiles are marched.
-            RendererKind::Cached => 2.0 * f64::from(-2.0 * self.mip_bias).exp2() + 0.2,
+            // Texels are finer than pixels, whole tiles are marched, and the coarse level always is.
+            RendererKind::Cached => 4.0 * f64::from(-2.0 * self.mip_bias).exp2() + 1.0,
         };
         let sun = 1.0 + f64::from(self.sun_steps.unwrap_or(6)) / 6.0;
         let waste = if self.low_density_skip { 1.0 } else { 3.0 };

@@ -125,8 +125,9 @@ fn prepared(arguments: &TradeArguments, scene: &Scene) -> anyhow::Result<Prepare
     ];
     let source = arguments.reference_source(&camera);
     let work: f64 = planned.iter().map(|p| p.settings.expected_work()).sum();
-    let mut progress = Progress::new(planned.len() as u64 + 1, work + source.expected_work());
-    progress.begin("reference", source.expected_work());
+    let mut progress = Progress::new(planned.len() as u64 + 1, work);
+    // Interpolated in f32, or on the processor: its time tells nothing about that of the points.
+    progress.begin("reference", 0.0);
     let parts: Vec<&str> = depends_on.iter().map(String::as_str).collect();
     let references = arguments.out.join("reference");
     let reference = kept_reference(&references, &parts, scene, size, &source, || {
