@@ -3,7 +3,7 @@
 use crate::support::*;
 use glam::DVec3;
 use serde_json::{Value, json};
-use skycell_reference::path::{Mean, PathSettings, Random, SunShape, trace_ray};
+use skycell_reference::path::{Mean, Moments, PathSettings, Random, SunShape, trace_ray};
 use skycell_reference::{Ray, World};
 use std::f64::consts::TAU;
 
@@ -55,6 +55,12 @@ fn eye(up: bool, mu: f64, dphi_deg: f64) -> Ray {
     Ray::new(DVec3::new(0.0, height_m, 0.0), -travels).expect("a ray")
 }
 
+/// Mean radiance without the sun's disc, which an eye under the slab may look at.
+fn scattered(world: &World, ray: &Ray, moments: &Moments) -> f64 {
+    let disc = world.light().sun_disc_radiance(ray.direction).x;
+    moments.radiance[0].mean - disc * moments.transmittance.mean
+}
+
 /// Diffuse flux through a side by backward estimates: with directions in proportion to their cosine, flux = π · mean
 /// radiance. Each path has its own direction.
 fn flux(world: &World, up: bool, paths: u64, seed: u64) -> Mean {
@@ -63,7 +69,7 @@ fn flux(world: &World, up: bool, paths: u64, seed: u64) -> Mean {
         let mut random = Random::new(seed, u64::MAX, path);
         let ray = eye(up, random.unit().sqrt().max(1e-9), 360.0 * random.unit());
         let moments = trace_ray(world, &ray, path, path..path + 1, seed, &settings());
-        mean.add(0.5 * TAU * moments.radiance[0].mean);
+        mean.add(0.5 * TAU * scattered(world, &ray, &moments));
     }
     mean
 }
@@ -132,16 +138,9 @@ fn slabs_agree_with_discrete_ordinates() {
                 "tau {tau} albedo {albedo} g {g} mu0 {mu0} {} {} {}",
                 radiance[0], radiance[1], radiance[2]
             );
-            // Straight below a sun in the zenith the eye looks at the disc itself, which is not diffuse.
-            let towards_sun = ray.direction.dot(world.light().sun_direction) > 1.0 - 1e-4;
-            let direct = if towards_sun {
-                world.light().sun_disc_radiance(ray.direction).x * moments.transmittance.mean
-            } else {
-                0.0
-            };
             tally.add(
                 &name,
-                mean.mean - direct,
+                scattered(&world, &ray, &moments),
                 mean.standard_error(),
                 at(3),
                 at(4),
