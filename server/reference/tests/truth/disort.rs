@@ -9,9 +9,11 @@ use std::f64::consts::TAU;
 
 const DATA: &str = include_str!("../../../../tests/data/oracles/disort.json");
 /// Paths for a flux, for one with a narrow forward peak, which is noisier, and for a radiance.
-const FLUX_PATHS: u64 = 12_000;
+const FLUX_PATHS: u64 = 24_000;
 const PEAKED_FLUX_PATHS: u64 = 32_000;
 const RADIANCE_PATHS: u64 = 8_000;
+/// Paths for either through the thickest slabs, where each is scattered some hundred times.
+const THICK_PATHS: u64 = 4_000;
 /// Less light than this comes through thick slabs by so few paths that their mean is no normal deviate: left out.
 const LEAST: f64 = 2e-3;
 
@@ -97,7 +99,9 @@ fn slabs_agree_with_discrete_ordinates() {
                 tally.left_out += 1;
                 continue;
             }
-            let paths = if g > 0.8 {
+            let paths = if tau > 16.0 {
+                THICK_PATHS
+            } else if g > 0.8 {
                 PEAKED_FLUX_PATHS
             } else {
                 FLUX_PATHS
@@ -125,14 +129,12 @@ fn slabs_agree_with_discrete_ordinates() {
             }
             let up = radiance[0] == "up";
             let ray = eye(up, at(1), at(2));
-            let moments = trace_ray(
-                &world,
-                &ray,
-                column as u64,
-                0..RADIANCE_PATHS,
-                seed,
-                &settings(),
-            );
+            let paths = if tau > 16.0 {
+                THICK_PATHS
+            } else {
+                RADIANCE_PATHS
+            };
+            let moments = trace_ray(&world, &ray, column as u64, 0..paths, seed, &settings());
             let mean = moments.radiance[0];
             let name = format!(
                 "tau {tau} albedo {albedo} g {g} mu0 {mu0} {} {} {}",
