@@ -3,15 +3,17 @@
 use crate::support::*;
 use glam::DVec3;
 use serde_json::{Value, json};
-use skycell_reference::path::{Mean, PathSettings, Random, SunShape, trace_ray};
+use skycell_reference::path::{Mean, Moments, PathSettings, Random, SunShape, trace_ray};
 use skycell_reference::{Ray, World};
 use std::f64::consts::TAU;
 
 const DATA: &str = include_str!("../../../../tests/data/oracles/disort.json");
 /// Paths for a flux, for one with a narrow forward peak, which is noisier, and for a radiance.
-const FLUX_PATHS: u64 = 12_000;
+const FLUX_PATHS: u64 = 24_000;
 const PEAKED_FLUX_PATHS: u64 = 32_000;
 const RADIANCE_PATHS: u64 = 8_000;
+/// Paths for either through the thickest slabs, where each is scattered some hundred times.
+const THICK_PATHS: u64 = 4_000;
 /// Less light than this comes through thick slabs by so few paths that their mean is no normal deviate: left out.
 const LEAST: f64 = 2e-3;
 
@@ -55,6 +57,12 @@ fn eye(up: bool, mu: f64, dphi_deg: f64) -> Ray {
     Ray::new(DVec3::new(0.0, height_m, 0.0), -travels).expect("a ray")
 }
 
+/// Mean radiance without the sun's disc, which an eye under the slab may look at.
+fn scattered(world: &World, ray: &Ray, moments: &Moments) -> f64 {
+    let disc = world.light().sun_disc_radiance(ray.direction).x;
+    moments.radiance[0].mean - disc * moments.transmittance.mean
+}
+
 /// Diffuse flux through a side by backward estimates: with directions in proportion to their cosine, flux = π · mean
 /// radiance. Each path has its own direction.
 fn flux(world: &World, up: bool, paths: u64, seed: u64) -> Mean {
@@ -63,7 +71,7 @@ fn flux(world: &World, up: bool, paths: u64, seed: u64) -> Mean {
         let mut random = Random::new(seed, u64::MAX, path);
         let ray = eye(up, random.unit().sqrt().max(1e-9), 360.0 * random.unit());
         let moments = trace_ray(world, &ray, path, path..path + 1, seed, &settings());
-        mean.add(0.5 * TAU * moments.radiance[0].mean);
+        mean.add(0.5 * TAU * scattered(world, &ray, &moments));
     }
     mean
 }
@@ -91,7 +99,9 @@ fn slabs_agree_with_discrete_ordinates() {
                 tally.left_out += 1;
                 continue;
             }
-            let paths = if g > 0.8 {
+            let paths = if tau > 16.0 {
+                THICK_PATHS
+            } else if g > 0.8 {
                 PEAKED_FLUX_PATHS
             } else {
                 FLUX_PATHS
@@ -119,29 +129,20 @@ fn slabs_agree_with_discrete_ordinates() {
             }
             let up = radiance[0] == "up";
             let ray = eye(up, at(1), at(2));
-            let moments = trace_ray(
-                &world,
-                &ray,
-                column as u64,
-                0..RADIANCE_PATHS,
-                seed,
-                &settings(),
-            );
+            let paths = if tau > 16.0 {
+                THICK_PATHS
+            } else {
+                RADIANCE_PATHS
+            };
+            let moments = trace_ray(&world, &ray, column as u64, 0..paths, seed, &settings());
             let mean = moments.radiance[0];
             let name = format!(
                 "tau {tau} albedo {albedo} g {g} mu0 {mu0} {} {} {}",
                 radiance[0], radiance[1], radiance[2]
             );
-            // Straight below a sun in the zenith the eye looks at the disc itself, which is not diffuse.
-            let towards_sun = ray.direction.dot(world.light().sun_direction) > 1.0 - 1e-4;
-            let direct = if towards_sun {
-                world.light().sun_disc_radiance(ray.direction).x * moments.transmittance.mean
-            } else {
-                0.0
-            };
             tally.add(
                 &name,
-                mean.mean - direct,
+                scattered(&world, &ray, &moments),
                 mean.standard_error(),
                 at(3),
                 at(4),

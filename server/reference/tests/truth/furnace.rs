@@ -61,7 +61,7 @@ fn clouds_vanish_in_a_furnace() {
     let world = furnace(layers, grid_field(voxels), forward, off);
     check("grid", &world, &[up, level], &settings);
     for approximations in [off, Approximations::ALL] {
-        let layers = weather_layer(0.02, 1.0);
+        let layers = weather_layer(0.004, 1.0);
         let world = furnace(layers, weather_field(), droplets.clone(), approximations);
         check("weather", &world, &[up], &settings);
     }
