@@ -5,6 +5,7 @@ pub mod browser;
 pub mod numbers;
 pub mod picture;
 pub mod server;
+pub mod tone;
 pub mod viewer;
 
 pub use browser::{Browser, Tab};

@@ -200,8 +200,9 @@ pub fn layer_parts(
         (twin, bound)
     };
     let (ground, ground_bound) = roots(0.0);
-    let ground_in_front =
-        has_ground && ground.discriminant >= 0.0 && ground.near_m + ground.far_m > 0.0;
+    // Where f32 may call a tangent either way, it counts as hit: without ground is the other way.
+    let hit = ground.discriminant >= -ground_bound.discriminant;
+    let ground_in_front = has_ground && hit && ground.near_m + ground.far_m > 0.0;
     let (top, top_bound) = roots(top_m);
     let (base, base_bound) = roots(base_m);
     // What a ray that just misses or just meets a shell may gain or lose: the chord of the discriminant's error.

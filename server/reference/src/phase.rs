@@ -101,11 +101,14 @@ impl Phase {
                 * draine_per_sr(self.g_draine * eccentricity, self.alpha, one_minus_mu)
     }
 
-    /// The phase averaged over a small disc to first order, as the renderer does: the mean of 1 − µ over a disc of
-    /// angular radius r is 1 − µ + (1 − cos r)/2.
+    /// The phase averaged over a small disc to first order, as the renderer does: at the mean of 1 − µ over a cap of
+    /// angular radius r, which is 1 − µ (1 + cos r)/2.
     #[must_use]
     pub fn over_disc_per_sr(&self, one_minus_mu: f64, one_minus_mu_disc: f64) -> f64 {
-        self.per_sr(1.0, (one_minus_mu + 0.5 * one_minus_mu_disc).min(2.0))
+        self.per_sr(
+            1.0,
+            one_minus_mu + (1.0 - one_minus_mu) * 0.5 * one_minus_mu_disc,
+        )
     }
 
     /// Mean cosine.

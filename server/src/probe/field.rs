@@ -120,6 +120,18 @@ impl FieldProbe {
         })
     }
 
+    /// For tests: answers come from edited shaders, until `None` brings the true ones back.
+    ///
+    /// # Errors
+    /// When what comes of the edit is no shader.
+    pub fn plant(&mut self, edit: Option<skycell_shaders::SourceEdit>) -> Result<(), GpuError> {
+        self.pipelines.plant(edit);
+        for key in &self.keys {
+            self.pipelines.prepare(&self.gpu, *key)?;
+        }
+        Ok(())
+    }
+
     /// What the shaders read of the scene.
     #[must_use]
     pub fn uniform(&self) -> &layout::Scene {

@@ -72,6 +72,49 @@ fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, layer
 #endif
 }
 
+/// A layer along a ray with its place in the order of blending.
+struct OrderedLayer {
+    cloud: LayerRadiance,
+    air_extinction_per_m: vec3f,
+    /// Greater for what lies farther back. A ray leaves layers above the eye behind it in rising order, those below it,
+    /// all of them nearer, in falling order.
+    rank: f32,
+}
+
+/// More than any altitude, m.
+const ABOVE_RANK: f32 = 1e6;
+
+fn ordered_layer(world: Scene, eye: View, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> OrderedLayer {
+    let cloud = layer_radiance(world, eye, layer, table, layer_index, pixel, ray);
+    let altitude = layer.proxy_altitude_m;
+    return OrderedLayer(cloud, layer.air_extinction_per_m, select(-altitude, ABOVE_RANK + altitude, altitude >= ray.origin_altitude_m));
+}
+
+struct LayerPair {
+    nearer: OrderedLayer,
+    farther: OrderedLayer,
+}
+
+/// Which of two layers hides the other depends on where the eye is: from above the upper one, from below the lower one.
+fn nearer_first(a: OrderedLayer, b: OrderedLayer) -> LayerPair {
+    let swapped = b.rank < a.rank;
+    return LayerPair(chosen(a, b, swapped), chosen(b, a, swapped));
+}
+
+fn chosen(a: OrderedLayer, b: OrderedLayer, second: bool) -> OrderedLayer {
+    return OrderedLayer(
+        LayerRadiance(
+            select(a.cloud.single, b.cloud.single, second),
+            select(a.cloud.octaves, b.cloud.octaves, second),
+            select(a.cloud.ambient, b.cloud.ambient, second),
+            select(a.cloud.transmittance, b.cloud.transmittance, second),
+            select(a.cloud.opacity_distance_m, b.cloud.opacity_distance_m, second),
+        ),
+        select(a.air_extinction_per_m, b.air_extinction_per_m, second),
+        select(a.rank, b.rank, second),
+    );
+}
+
 /// Radiance that reaches the viewer through the middle of a pixel.
 fn pixel_radiance(world: Scene, eye: View, back: Background, pixel: vec2u) -> vec3f {
     let direction = pixel_direction(eye, vec2f(pixel) + 0.5);
@@ -83,44 +126,41 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
     var radiance = background_radiance(world, back, ray);
 #if LAYERS >= 1
     let phase = sun_phase_per_sr(world, ray);
-#endif
-#ifdef SCREEN_SPACE
-#if LAYERS >= 1
-    // Layers are sorted by altitude. A ray leaves those above the eye behind it in rising order, those below in falling
-    // order; the farthest is blended first.
-    for (var k = 0u; k < #{LAYERS}u; k += 1u) {
-        let above = #{LAYERS}u - 1u - k;
-        if world.layers[above].proxy_altitude_m >= ray.origin_altitude_m {
-            let cloud = layer_radiance(world, eye, world.layers[above], eye.tables[above], above, pixel, ray);
-            radiance = layer_over(world, back, phase, radiance, cloud, world.layers[above].air_extinction_per_m);
-        }
-    }
-    for (var k = 0u; k < #{LAYERS}u; k += 1u) {
-        if world.layers[k].proxy_altitude_m < ray.origin_altitude_m {
-            let cloud = layer_radiance(world, eye, world.layers[k], eye.tables[k], k, pixel, ray);
-            radiance = layer_over(world, back, phase, radiance, cloud, world.layers[k].air_extinction_per_m);
-        }
-    }
-#endif
-#else
-    // Layers are sorted by altitude; from below the highest lies farthest back. Written out with constant indices, so
-    // that all of them are read before the first pixel.
-#if LAYERS >= 4
-    let fourth = layer_radiance(world, eye, world.layers[3], eye.tables[3], 3u, pixel, ray);
-    radiance = layer_over(world, back, phase, radiance, fourth, world.layers[3].air_extinction_per_m);
+    // Written out with constant indices, so that all of them are read before the first pixel (and because a loop over
+    // layers at computed indices keeps the software driver's compiler busy for minutes).
+    var first = ordered_layer(world, eye, world.layers[0], eye.tables[0], 0u, pixel, ray);
+#if LAYERS >= 2
+    var second = ordered_layer(world, eye, world.layers[1], eye.tables[1], 1u, pixel, ray);
+    var pair = nearer_first(first, second);
+    first = pair.nearer;
+    second = pair.farther;
 #endif
 #if LAYERS >= 3
-    let third = layer_radiance(world, eye, world.layers[2], eye.tables[2], 2u, pixel, ray);
-    radiance = layer_over(world, back, phase, radiance, third, world.layers[2].air_extinction_per_m);
+    var third = ordered_layer(world, eye, world.layers[2], eye.tables[2], 2u, pixel, ray);
+    pair = nearer_first(second, third);
+    third = pair.farther;
+    pair = nearer_first(first, pair.nearer);
+    first = pair.nearer;
+    second = pair.farther;
+#endif
+#if LAYERS >= 4
+    var fourth = ordered_layer(world, eye, world.layers[3], eye.tables[3], 3u, pixel, ray);
+    pair = nearer_first(third, fourth);
+    fourth = pair.farther;
+    pair = nearer_first(second, pair.nearer);
+    third = pair.farther;
+    pair = nearer_first(first, pair.nearer);
+    first = pair.nearer;
+    second = pair.farther;
+    radiance = layer_over(world, back, phase, radiance, fourth.cloud, fourth.air_extinction_per_m);
+#endif
+#if LAYERS >= 3
+    radiance = layer_over(world, back, phase, radiance, third.cloud, third.air_extinction_per_m);
 #endif
 #if LAYERS >= 2
-    let second = layer_radiance(world, eye, world.layers[1], eye.tables[1], 1u, pixel, ray);
-    radiance = layer_over(world, back, phase, radiance, second, world.layers[1].air_extinction_per_m);
+    radiance = layer_over(world, back, phase, radiance, second.cloud, second.air_extinction_per_m);
 #endif
-#if LAYERS >= 1
-    let first = layer_radiance(world, eye, world.layers[0], eye.tables[0], 0u, pixel, ray);
-    radiance = layer_over(world, back, phase, radiance, first, world.layers[0].air_extinction_per_m);
-#endif
+    radiance = layer_over(world, back, phase, radiance, first.cloud, first.air_extinction_per_m);
 #endif
     return radiance;
 }

@@ -113,12 +113,13 @@ fn probe_field(@builtin(global_invocation_id) id: vec3u) {
         }
         // The tone curve of a.xyz
         case 11u: { value = vec4f(filmic(balanced(a.xyz)), 0.0); }
-        // A texel after b.x samples that alternate between a + c and a - c, with 1/n as the weight of the first b.y ones
-        // and b.z as that of all later ones.
+        // What a texel that has taken b.w samples and holds d has after b.x more, which alternate between a + c and a - c,
+        // with 1/n as the weight of the first b.y of all and b.z as that of all later ones. (Mesa's software driver ends
+        // loops after 65 535 rounds.)
         case 12u: {
-            var held = vec4f(0.0);
-            let count = u32(b.x);
-            for (var n = 0u; n < count; n += 1u) {
+            var held = d;
+            let last = u32(b.w) + u32(b.x);
+            for (var n = u32(b.w); n < last; n += 1u) {
                 let weight = select(b.z, 1.0 / f32(n + 1u), f32(n) < b.y);
                 held = accumulated(held, select(a - c, a + c, n % 2u == 0u), weight);
             }

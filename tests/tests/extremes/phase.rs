@@ -21,23 +21,26 @@ pub(crate) fn draine_twin(g: f64, alpha: f64, mu: f64) -> f64 {
 
 /// Jendersie & d'Eon 2023, eq. 3.
 fn blend_twin(diameter_um: f64, mu: f64) -> f64 {
-    let [g_hg, g_draine, alpha, w] = hg_draine_parameters(diameter_um);
+    let [g_hg, g_draine, alpha, w] =
+        hg_draine_parameters(diameter_um).map(|value| f64::from(value as f32));
     (1.0 - w) * hg_twin(g_hg, mu) + w * draine_twin(g_draine, alpha, mu)
 }
 
 type Twin = Box<dyn Fn(f64) -> f64>;
 
 fn models() -> Vec<(Value, Twin)> {
+    // The device has the document's numbers as f32.
+    let narrow = |value: f64| f64::from(value as f32);
     let hg = |g: f64| -> (Value, Twin) {
         (
             json!({"model": "hg", "g": g}),
-            Box::new(move |mu| hg_twin(g, mu)),
+            Box::new(move |mu| hg_twin(narrow(g), mu)),
         )
     };
     let draine = |g: f64, alpha: f64| -> (Value, Twin) {
         (
             json!({"model": "draine", "g": g, "alpha": alpha}),
-            Box::new(move |mu| draine_twin(g, alpha, mu)),
+            Box::new(move |mu| draine_twin(narrow(g), narrow(alpha), mu)),
         )
     };
     let droplet = |d: f64| -> (Value, Twin) {
@@ -96,9 +99,16 @@ pub(crate) fn sharpest(stage: &mut Stage) -> Line {
             let lit = f64::from(found.radiance[0][0]) - background;
             let phase = twin(mu_of_disc(mu));
             let exact = phase * f64::from(layer.single);
-            // Some thirty roundings, and the background that is subtracted; 1 - µ of a direction off the axis is known
-            // to 4 U, which a peak of width (1 - |g|)² would feel: there the ray stands on the axis exactly.
-            let bound = 64.0 * U * (exact + background);
+            // Some thirty roundings, and the background that is subtracted. Near 2, 1 - µ is known to 4 U; a backward peak
+            // of base (1 - |g|)² + 2 |g| (1 + µ) feels 3 |g| / base times as much of it.
+            let g = model["g"].as_f64().unwrap_or(0.0);
+            let base = (1.0 + g).powi(2) + 2.0 * g.abs() * (1.0 + mu_of_disc(mu));
+            let backward = if g < 0.0 {
+                3.0 * g.abs() / base * 4.0
+            } else {
+                0.0
+            };
+            let bound = (64.0 + backward) * U * (exact + background);
             line.holds(
                 format!("{model} {what}: {exact:.4e}"),
                 (lit - exact).abs(),

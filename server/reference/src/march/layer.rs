@@ -208,10 +208,9 @@ pub fn gather_layer(
     let layer_distance_m = 0.5 * (parts[0].start_m + parts[0].end_m);
     // Horizontal metres per metre of ray; the floor keeps the quotient finite for vertical rays.
     let across = ray.direction.x.hypot(ray.direction.z).max(1e-3);
-    let steps_max = 4 * u64::from(settings.steps.max(1));
     let (mut transmittance, mut optical_depth) = (1.0, 0.0);
     let (mut ambient, mut weighted_distance_m) = (0.0, 0.0);
-    let (mut lit, mut probes, mut evaluations) = (0, 0, 0);
+    let (mut probes, mut evaluations) = (0, 0);
     'ray: for part in parts.iter().filter(|part| !part.is_empty()) {
         let mut steps = grid.first_sample(part.start_m, settings.start_fraction);
         loop {
@@ -219,7 +218,7 @@ pub fn gather_layer(
             if distance_m >= part.end_m {
                 break;
             }
-            if lit >= steps_max || probes >= PROBES_MAX {
+            if probes >= PROBES_MAX {
                 break 'ray;
             }
             let position_m = ray.at(distance_m);
@@ -246,7 +245,6 @@ pub fn gather_layer(
             optical_depth += depth;
             transmittance *= (-depth).exp();
             steps += 1.0;
-            lit += 1;
             if settings.early_exit && transmittance < TRANSMITTANCE_MIN {
                 break 'ray;
             }

@@ -1,0 +1,12 @@
+//! The physical functions of the WGSL, run on the real device, against twins in f64 that are written from the equations.
+//! Every bound is an error budget of f32 arithmetic, and each test shows that a planted defect breaks it. Each function
+//! prints a row: points, worst of its bound, the defect (`-- --nocapture`).
+
+mod density;
+mod geometry;
+mod march;
+mod phase;
+mod sky;
+mod support;
+mod tone;
+mod transport;

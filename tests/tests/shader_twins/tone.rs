@@ -1,0 +1,73 @@
+//! From radiance to bytes.
+
+use super::support::{Point, Probe, SceneProbe, judge};
+use skycell_server::probe::{FieldPoint, FieldQuestion, FunctionQuestion as Question};
+use skycell_tests::numbers::{U, wide, worst};
+
+/// IEC 61966-2-1.
+fn srgb_twin(linear: f64) -> f64 {
+    if linear <= 0.003_130_8 {
+        12.92 * linear
+    } else {
+        1.055 * linear.powf(1.0 / 2.4) - 0.055
+    }
+}
+
+#[test]
+fn the_fast_srgb_curve_stays_within_a_hundredth_of_an_eight_bit_step() {
+    let mut points: Vec<Point> = (0..12_000)
+        .map(|index| {
+            let share = f64::from(index) / 11_999.0;
+            [
+                [
+                    share as f32,
+                    share.powi(4) as f32,
+                    (share * 0.01) as f32,
+                    0.0,
+                ],
+                [0.0; 4],
+            ]
+        })
+        .collect();
+    let edge = 0.003_130_8f32;
+    points.push([[edge.next_down(), edge, edge.next_up(), 0.0], [0.0; 4]]);
+    let values = Probe::open().ask(Question::Srgb, &points);
+    let bound = 0.01 / 255.0;
+    let check = |twin: fn(f64) -> f64| {
+        worst(points.iter().zip(&values).flat_map(|(point, value)| {
+            let (linear, encoded) = (wide(point[0]), wide(*value));
+            [0, 1, 2].map(|channel| ((encoded[channel] - twin(linear[channel])).abs(), bound))
+        }))
+    };
+    let gpu = check(srgb_twin);
+    // The power that is often taken for sRGB.
+    let defect = check(|linear| linear.powf(1.0 / 2.2));
+    judge("sRGB", points.len(), gpu, defect);
+}
+
+#[test]
+fn the_filmic_curve_is_its_fit_from_black_to_the_sun() {
+    let probe = SceneProbe::open(&serde_json::json!({"version": 1}), true);
+    let points: Vec<FieldPoint> = (0..12_000)
+        .map(|index| {
+            let value = 10f64.powf(-12.0 + 20.0 * f64::from(index) / 11_999.0) as f32;
+            [[value, 0.0, 2.0 * value, 0.0], [0.0; 4], [0.0; 4], [0.0; 4]]
+        })
+        .collect();
+    let values = probe.ask(FieldQuestion::Tone, &points);
+    let white = [0.8444, 1.0602, 1.0954];
+    let check = |white: [f64; 3]| {
+        worst(points.iter().zip(&values).flat_map(|(point, value)| {
+            [0, 1, 2].map(|c| {
+                let exact = skycell_tests::tone::filmic(f64::from(point[0][c]) / white[c]);
+                // Sums of positive terms and two quotients: some ten roundings, of what was rounded before.
+                (
+                    (f64::from(value[0][c]) - exact).abs(),
+                    16.0 * U * exact + 1e-30,
+                )
+            })
+        }))
+    };
+    // Planted: no white balance.
+    judge("filmic curve", points.len(), check(white), check([1.0; 3]));
+}
