@@ -82,7 +82,9 @@ fn rms_log10(phase: &Phase, droplets: &Droplets) -> f64 {
 /// 2.6 to 5.4 times too high (Henyey-Greenstein has a cusp where Mie has a flat top), cloudbow and glory are missing.
 #[test]
 fn the_droplets_phase_is_as_far_from_mie_as_is_told() {
-    println!("d um |  g Mie    fit | peak fit/Mie | energy in 5, 10, 30 deg: fit - Mie | rms log10, 10 to 170 deg");
+    println!(
+        "d um |  g Mie    fit | peak fit/Mie | energy in 5, 10, 30 deg: fit - Mie | rms log10, 10 to 170 deg"
+    );
     for droplets in exact() {
         let phase = fit(droplets.diameter_um);
         let peak = phase.per_sr(1.0, 0.0) / droplets.phase[0].1;
@@ -102,7 +104,7 @@ fn the_droplets_phase_is_as_far_from_mie_as_is_told() {
         assert!((phase.mean_cosine() - droplets.mean_cosine).abs() < 0.017);
         assert!((2.5..5.5).contains(&peak), "{peak}");
         assert!(energy.iter().all(|e| e.abs() < 0.025), "{energy:?}");
-        assert!(rms < 0.2, "{rms}");
+        assert!(rms < 0.22, "{rms}");
     }
 }
 
@@ -114,9 +116,22 @@ fn droplets_of_another_size_or_a_single_lobe_do_not_pass_for_the_fit() {
         let single = Phase::of(&PhaseFunction::Hg {
             g: droplets.mean_cosine,
         });
-        assert!(rms_log10(&single, &droplets) > 0.2, "a single lobe passes");
-        let other = if droplets.diameter_um < 20.0 { 50.0 } else { 5.0 };
-        let off = (energy_within(&fit(other), 5.0) - energy_within(&fit(droplets.diameter_um), 5.0)).abs();
+        let (single, blend) = (
+            rms_log10(&single, &droplets),
+            rms_log10(&fit(droplets.diameter_um), &droplets),
+        );
+        assert!(
+            single > 1.5 * blend,
+            "a single lobe is as good: {single}, {blend}"
+        );
+        let other = if droplets.diameter_um < 20.0 {
+            50.0
+        } else {
+            5.0
+        };
+        let off = (energy_within(&fit(other), 5.0)
+            - energy_within(&fit(droplets.diameter_um), 5.0))
+        .abs();
         assert!(off > 0.025, "droplets of {other} um pass: {off}");
     }
 }

@@ -17,23 +17,48 @@ const THICK_PATHS: u64 = 4_000;
 /// Less light than this comes through thick slabs by so few paths that their mean is no normal deviate: left out.
 const LEAST: f64 = 2e-3;
 
+/// A figure that is beyond three standard errors, which of 370 one will be by chance, is estimated once more with so many
+/// times the paths and other random numbers: what is wrong is then farther out, what was chance is not.
+const AGAIN: u64 = 16;
+
 struct Tally {
     compared: u32,
     left_out: u32,
     beyond_two: u32,
-    beyond_three: u32,
+    again: u32,
     worst: f64,
 }
 
+/// A figure to compare: the solver's value and its own error.
+struct Figure {
+    name: String,
+    expected: f64,
+    error: f64,
+}
+
 impl Tally {
-    fn add(&mut self, name: &str, seen: f64, error: f64, expected: f64, expected_error: f64) {
-        // The solver's own error counts as one standard error.
-        let off = (seen - expected) / error.hypot(expected_error).max(1e-12);
+    /// `estimate` gives mean and standard error for a factor of the paths and a seed.
+    fn add(&mut self, figure: &Figure, seed: u64, estimate: impl Fn(u64, u64) -> (f64, f64)) {
+        let Figure {
+            name,
+            expected,
+            error,
+        } = figure;
+        let off = |factor: u64, seed: u64| {
+            let (seen, seen_error) = estimate(factor, seed);
+            // The solver's own error counts as one standard error.
+            let off = (seen - expected) / seen_error.hypot(*error).max(1e-12);
+            println!("{name:44} {expected:.6} {seen:.6} ± {seen_error:.6} {off:+.2}");
+            off.abs()
+        };
+        let mut found = off(1, seed);
         self.compared += 1;
-        self.beyond_two += u32::from(off.abs() > 2.0);
-        self.beyond_three += u32::from(off.abs() > 3.0);
-        self.worst = self.worst.max(off.abs());
-        println!("{name:44} {expected:.6} {seen:.6} ± {error:.6} {off:+.2}");
+        self.beyond_two += u32::from(found > 2.0);
+        if found > 3.0 {
+            self.again += 1;
+            found = off(AGAIN, seed + 1_000_000);
+        }
+        self.worst = self.worst.max(found);
     }
 }
 
@@ -83,7 +108,7 @@ fn slabs_agree_with_discrete_ordinates() {
         compared: 0,
         left_out: 0,
         beyond_two: 0,
-        beyond_three: 0,
+        again: 0,
         worst: 0.0,
     };
     for (index, case) in data["cases"].as_array().expect("cases").iter().enumerate() {
@@ -106,15 +131,15 @@ fn slabs_agree_with_discrete_ordinates() {
             } else {
                 FLUX_PATHS
             };
-            let seen = flux(&world, up, paths, 2 * seed + u64::from(up));
-            let name = format!("tau {tau} albedo {albedo} g {g} mu0 {mu0} {key}");
-            tally.add(
-                &name,
-                seen.mean / mu0,
-                seen.standard_error() / mu0,
-                number(&case["flux"], key),
-                number(&case["flux_err"], key),
-            );
+            let figure = Figure {
+                name: format!("tau {tau} albedo {albedo} g {g} mu0 {mu0} {key}"),
+                expected: number(&case["flux"], key),
+                error: number(&case["flux_err"], key),
+            };
+            tally.add(&figure, 2 * seed + u64::from(up), |factor, seed| {
+                let seen = flux(&world, up, factor * paths, seed);
+                (seen.mean / mu0, seen.standard_error() / mu0)
+            });
         }
         for (column, radiance) in case["radiance"]
             .as_array()
@@ -134,28 +159,30 @@ fn slabs_agree_with_discrete_ordinates() {
             } else {
                 RADIANCE_PATHS
             };
-            let moments = trace_ray(&world, &ray, column as u64, 0..paths, seed, &settings());
-            let mean = moments.radiance[0];
-            let name = format!(
-                "tau {tau} albedo {albedo} g {g} mu0 {mu0} {} {} {}",
-                radiance[0], radiance[1], radiance[2]
-            );
-            tally.add(
-                &name,
-                scattered(&world, &ray, &moments),
-                mean.standard_error(),
-                at(3),
-                at(4),
-            );
+            let figure = Figure {
+                name: format!(
+                    "tau {tau} albedo {albedo} g {g} mu0 {mu0} {} {} {}",
+                    radiance[0], radiance[1], radiance[2]
+                ),
+                expected: at(3),
+                error: at(4),
+            };
+            tally.add(&figure, seed, |factor, seed| {
+                let range = 0..factor * paths;
+                let moments = trace_ray(&world, &ray, column as u64, range, seed, &settings());
+                let error = moments.radiance[0].standard_error();
+                (scattered(&world, &ray, &moments), error)
+            });
         }
     }
     println!(
-        "discrete ordinates: {} compared, {} too dark, {} beyond 2 and {} beyond 3 standard errors, worst {:.2}",
-        tally.compared, tally.left_out, tally.beyond_two, tally.beyond_three, tally.worst
+        "discrete ordinates: {} compared, {} too dark, {} beyond 2 standard errors, {} beyond 3 and estimated again, worst {:.2}",
+        tally.compared, tally.left_out, tally.beyond_two, tally.again, tally.worst
     );
-    // Of 360 normal deviates 16 ± 4 are beyond 2 and 1 ± 1 beyond 3: allowed are four deviations more.
+    assert!(tally.worst <= 3.0, "{}", tally.worst);
+    // Of 370 normal deviates 17 ± 4 are beyond 2 and 1 ± 1 beyond 3: allowed are four deviations more.
     let expected = 0.0455 * f64::from(tally.compared);
     assert!(f64::from(tally.beyond_two) < expected + 4.0 * expected.sqrt());
-    assert!(tally.beyond_three <= 5 && tally.worst < 4.5);
+    assert!(tally.again <= 5);
     assert!(tally.compared > 350);
 }
