@@ -57,9 +57,9 @@ needs_linker() {
     command -v cc >/dev/null || need "gcc libc6-dev" "a C compiler, with which Rust links programs"
 }
 
-# The picture comparison of the tests (FLIP) is C++.
+# The picture comparison (FLIP, for `skycell-server measure`) is C++.
 needs_cxx() {
-    command -v c++ >/dev/null || need "g++" "a C++ compiler for the FLIP picture comparison of the tests"
+    command -v c++ >/dev/null || need "g++" "a C++ compiler for the FLIP picture comparison"
 }
 
 has_vulkan_loader() {

@@ -10,7 +10,10 @@ use std::time::Duration;
 use indicatif::ProgressBar;
 use serde::Serialize;
 use skycell_protocol::message::{Acknowledgement, Hello};
-use skycell_protocol::{Camera, CameraDocument, Codec, FrameHeader, FrameSize, InputSequence};
+use skycell_protocol::{
+    Camera, CameraDocument, Codec, FrameHeader, FrameSize, InputSequence, QualityChoice,
+    QualityPreset,
+};
 use thiserror::Error;
 use tokio::time::{Instant, timeout_at};
 
@@ -37,6 +40,8 @@ pub struct RecordOptions {
     pub size: FrameSize,
     /// PNG for exact pictures, JPEG for a fast connection; files are PNG either way.
     pub codec: Codec,
+    /// How good pictures are to be; none for what the scene or the server says.
+    pub quality: Option<QualityPreset>,
     /// How long to wait for a picture that is not coarse before a coarse one is taken.
     pub sharp_wait: Duration,
     /// How long to wait for any picture of a step.
@@ -162,6 +167,7 @@ pub async fn record(
     let first = options.path.at(0.0);
     let hello = Hello {
         codec: options.codec,
+        quality: options.quality.map(QualityChoice::Preset),
         ..Hello::new(options.size, options.fps, first)
     };
     let mut connection = Connection::open(address, hello, ConnectionLimits::default()).await?;

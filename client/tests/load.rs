@@ -22,6 +22,7 @@ fn options() -> LoadOptions {
         turn_duration: Duration::from_millis(300),
         turn_speed_deg_per_s: 10.0,
         samples_per_texel: SAMPLES as u32,
+        quality: None,
         renderer_baseline: false,
         wind_off: false,
     }

@@ -21,6 +21,7 @@ fn options(directory: &Path, turn_deg: f64) -> RecordOptions {
         fps: 5.0,
         size: FrameSize::new(32, 18).expect("in range"),
         codec: Codec::Png,
+        quality: None,
         sharp_wait: Duration::from_secs(2),
         frame_timeout: Duration::from_secs(5),
     }

@@ -24,6 +24,21 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @property {number} fps  1 to 120
  * @property {"jpeg" | "png"} [codec]
  * @property {number} [jpeg_quality]  1 to 100
+ * @property {Quality | null} [quality]  null: what the scene or the server says
+ */
+
+/**
+ * @typedef {{ preset: "draft" | "balanced" | "high" | "reference" } | { max_error: number } | { budget_ms: number }} Quality
+ *   a named quality, the largest mean FLIP (0.001 to 1), or the device's time for a frame (0.1 to 1000 ms)
+ */
+
+/**
+ * @typedef {object} PickedQuality  what the server has picked
+ * @property {string} name  of the preset, or "custom"
+ * @property {number} flip  mean FLIP against the converged picture
+ * @property {boolean} measured  false: the FLIP is an estimate
+ * @property {boolean} is_met  it is as good, or as fast, as was asked for
+ * @property {number | null} device_ms  device time of a frame
  */
 
 /**
@@ -50,6 +65,7 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @property {number} fps
  * @property {number} mbit_per_s
  * @property {boolean} sky_converged
+ * @property {PickedQuality | null} [quality]  null until the renderer has placed the viewer
  * @property {number | null} [cache_error_p50_percent]  how far half of the cached texels are from fresh ones at most
  * @property {number | null} [cache_error_p95_percent]  the same of 95 of 100
  */
@@ -196,7 +212,7 @@ export class Connection {
   }
 
   /**
-   * Wishes another size, rate or codec.
+   * Wishes another size, rate, codec or quality.
    * @param {Partial<View>} wishes
    */
   setView(wishes) {

@@ -2,7 +2,7 @@
 /**
  * The page: one connection, one picture, one look, and a status line.
  *
- * URL parameters: yaw, pitch, fov (degrees), width, height (pixels), fps.
+ * URL parameters: yaw, pitch, fov (degrees), width, height (pixels), fps, quality (a preset).
  */
 
 import { connect } from "./connection.js";
@@ -46,6 +46,7 @@ function parameter(name, fallback, low, high) {
 const canvas = element("picture", HTMLCanvasElement);
 const stage = element("stage", HTMLElement);
 const size_chooser = element("size", HTMLSelectElement);
+const quality_chooser = element("quality", HTMLSelectElement);
 
 const home = {
   position_m: /** @type {[number, number, number]} */ ([0, 2, 0]),
@@ -64,6 +65,15 @@ if (query.has("width") || query.has("height")) {
   size_chooser.value = choice;
 }
 
+const asked_quality = query.get("quality") ?? "";
+if ([...quality_chooser.options].some(({ value }) => value === asked_quality)) quality_chooser.value = asked_quality;
+
+/** @returns {import("./connection.js").Quality | null} */
+function wantedQuality() {
+  const preset = quality_chooser.value;
+  return preset === "" ? null : { preset: /** @type {"draft" | "balanced" | "high" | "reference"} */ (preset) };
+}
+
 /** @param {ConnectionStatus["welcome"]} welcome */
 function wantedSize(welcome) {
   const box = stage.getBoundingClientRect();
@@ -78,7 +88,7 @@ socket_url.hash = "";
 
 const view = createView(canvas);
 const connection = connect(socket_url, {
-  view: { ...wantedSize(null), fps: parameter("fps", DEFAULT_FPS, 1, 120), codec: "jpeg" },
+  view: { ...wantedSize(null), fps: parameter("fps", DEFAULT_FPS, 1, 120), codec: "jpeg", quality: wantedQuality() },
   camera: home,
 });
 connection.onFrame(view.show);
@@ -98,6 +108,7 @@ function applySize() {
   connection.setView({ ...wantedSize(welcome), fps: Math.min(parameter("fps", DEFAULT_FPS, 1, 120), welcome.max_fps) });
 }
 size_chooser.addEventListener("change", applySize);
+quality_chooser.addEventListener("change", () => connection.setView({ quality: wantedQuality() }));
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let resize_timer;
 new ResizeObserver(() => {
@@ -138,6 +149,14 @@ function cacheErrorText({ cache_error_p50_percent: p50, cache_error_p95_percent:
   return `p50 ${p50.toFixed(1)} % p95 ${p95.toFixed(1)} %`;
 }
 
+/** @param {import("./connection.js").ServerStatus} server */
+function pickedText({ quality }) {
+  if (!quality) return "–";
+  const flip = `FLIP ${quality.measured ? "" : "about "}${quality.flip.toFixed(3)}`;
+  const time = typeof quality.device_ms === "number" ? ` · ${quality.device_ms.toFixed(1)} ms` : "";
+  return `${quality.name} · ${flip}${time}${quality.is_met ? "" : " · not as asked"}`;
+}
+
 /** @param {ConnectionStatus} status */
 function showFigures(status) {
   const { server, header, fps, mbit_per_s, latency_ms, frame_age_ms } = status;
@@ -152,6 +171,7 @@ function showFigures(status) {
   write("viewers", server ? String(server.viewers_in_cell) : "–");
   write("overlap", server ? `${(server.overlap * 100).toFixed(0)} %` : "–");
   write("texels", server ? texelsText(server) : "–");
+  write("picked", server ? pickedText(server) : "–");
   write("cache-error", server ? cacheErrorText(server) : "–");
   write("picture-size", header ? `${header.width} × ${header.height}${header.coarse ? ", still coarse" : ""}` : "–");
 }

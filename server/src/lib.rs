@@ -6,6 +6,7 @@ pub mod clock;
 pub mod config;
 pub mod metrics;
 
+pub mod quality;
 pub mod scene;
 pub mod viewers;
 
@@ -25,6 +26,7 @@ pub mod stream;
 
 pub mod api;
 pub mod doctor;
+pub mod measure;
 pub mod render_command;
 pub mod service;
 pub mod truth;

@@ -9,6 +9,8 @@ use std::process::ExitCode;
 use clap::{Args, Parser, Subcommand};
 use skycell_server::config::{Config, Flags};
 use skycell_server::doctor::{self, DoctorArguments};
+use skycell_server::measure::{self, MeasureArguments};
+use skycell_server::probe::{self, command::ProbeArguments};
 use skycell_server::render_command::{self, RenderArguments};
 
 /// Renders a shared sky and streams it to its viewers.
@@ -31,6 +33,11 @@ enum Command {
         after_help = "Example: skycell-server render --scene sunset.json --yaw-deg 250 --pitch-deg 10 --out sunset.png"
     )]
     Render(Box<RenderArguments>),
+    /// Evaluate phase, shell intersection or density at given points, in f64 and on the device, as JSON.
+    #[command(after_help = "Example: skycell-server probe phase --angles-deg 0,1,10,90")]
+    Probe(ProbeArguments),
+    /// Measure what each setting costs in time and in error.
+    Measure(MeasureArguments),
     /// Say which adapters there are, whether they can render, and how to get what is missing.
     #[command(after_help = "Example: skycell-server doctor --json")]
     Doctor(DoctorArguments),
@@ -53,6 +60,8 @@ fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Serve(args) => serve(args),
         Command::Render(arguments) => render_command::run(&arguments),
+        Command::Probe(arguments) => probe::command::run(&arguments),
+        Command::Measure(arguments) => measure::run(&arguments),
         Command::Doctor(arguments) => doctor::run(&arguments),
     };
     match result {

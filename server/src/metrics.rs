@@ -129,6 +129,19 @@ fn describe() {
         "skycell_cache_error_percent",
         "Deviation of cached texels from texels marched anew, by quantile"
     );
+    describe_gauge!(
+        "skycell_scene_quality_flip",
+        "Mean FLIP of what is picked for viewers who ask for no quality"
+    );
+    describe_gauge!(
+        "skycell_viewer_quality_flip",
+        "Mean FLIP of what is picked for a viewer"
+    );
+    describe_gauge!(
+        "skycell_viewer_frame_device_seconds",
+        Unit::Seconds,
+        "Device time of a viewer's frame: composite and its share of marching"
+    );
     describe_counter!("skycell_frames_composited_total", "Frames composited");
     describe_counter!("skycell_frames_read_back_total", "Frames read back");
     describe_counter!(
@@ -195,6 +208,19 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
     ] {
         if let Some(percent) = percent {
             gauge!("skycell_cache_error_percent", "quantile" => quantile).set(percent);
+        }
+    }
+    gauge!("skycell_scene_quality_flip", "picked" => stats.quality.picked).set(stats.quality.flip);
+    for viewer in &stats.viewers {
+        let quality = &viewer.quality;
+        let labels = [
+            ("viewer", viewer.id.to_string()),
+            ("picked", quality.picked.to_owned()),
+            ("is_met", quality.is_met.to_string()),
+        ];
+        gauge!("skycell_viewer_quality_flip", &labels).set(quality.flip);
+        if let Some(device_ms) = quality.device_ms_per_frame {
+            gauge!("skycell_viewer_frame_device_seconds", &labels).set(device_ms * 1e-3);
         }
     }
     gauge!("skycell_cache_bytes").set(totals.cache_bytes as f64);

@@ -229,6 +229,14 @@ const MODULES: &[(&str, &str)] = &[
     ),
 ];
 
+/// Path and text of every WGSL file: what a picture depends on beside its scene.
+pub fn sources() -> impl Iterator<Item = (&'static str, &'static str)> {
+    MODULES
+        .iter()
+        .copied()
+        .chain(Kernel::ALL.map(Kernel::source))
+}
+
 /// A kernel that does not compose; only a change of the WGSL can bring it about.
 #[derive(Debug, thiserror::Error)]
 #[error("{kernel:?} with {features:?}: {message}")]

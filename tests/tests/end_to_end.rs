@@ -6,7 +6,9 @@ use anyhow::{Context, ensure};
 use futures_util::{SinkExt, StreamExt};
 use serde_json::{Value, json};
 use skycell_protocol::message::Hello;
-use skycell_protocol::{Codec, FrameHeader, FrameSize, INBOUND_MESSAGE_MAX_BYTES};
+use skycell_protocol::{
+    Codec, FrameHeader, FrameSize, INBOUND_MESSAGE_MAX_BYTES, QualityChoice, QualityPreset,
+};
 use skycell_tests::picture::{colours, decoded, mean_difference};
 use skycell_tests::server::total_of;
 use skycell_tests::viewer::camera;
@@ -227,6 +229,116 @@ async fn light_and_exposure_change_the_picture_and_march_nothing() -> Outcome {
         );
         (before, picture) = (after, changed);
     }
+    Ok(())
+}
+
+/// A small viewer of the sky that asks for a quality.
+async fn join_with(server: &Server, quality: Option<QualityChoice>) -> anyhow::Result<Viewer> {
+    let camera = camera([0.0, 2.0, 0.0], 0.0, 20.0)?;
+    let hello = Hello {
+        quality,
+        ..Hello::new(FrameSize::new(160, 90)?, 30.0, camera)
+    };
+    Viewer::join_as(server, hello).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_viewer_who_asks_for_draft_costs_fewer_texels_than_one_who_asks_for_high() -> Outcome {
+    let server = Server::start_calm().await?;
+    let mut updated = Vec::new();
+    for preset in [QualityPreset::Draft, QualityPreset::High] {
+        let before = server.total("texels_updated").await?;
+        let viewer = join_with(&server, Some(QualityChoice::Preset(preset))).await?;
+        let stats = server.at_rest(1).await?;
+        updated.push(total_of(&stats, "texels_updated")? - before);
+        let quality = &stats["viewers"][0]["quality"];
+        ensure!(
+            quality["picked"] == preset.name()
+                && quality["asked"] == json!({"preset": preset.name()})
+                && quality["asked_by"] == "viewer"
+                && quality["is_met"] == true,
+            "{quality}"
+        );
+        let settings = &quality["settings"];
+        ensure!(
+            stats["cells"][0]["samples"] == settings["samples"]
+                && stats["cells"][0]["march_steps"] == settings["march_steps"],
+            "{stats}"
+        );
+        viewer.close().await;
+        server.at_rest(0).await?;
+    }
+    let [draft, high] = updated[..] else {
+        unreachable!("two presets");
+    };
+    ensure!(
+        4 * draft < high,
+        "draft updates {draft} texels, high {high}"
+    );
+
+    // The scene's choice holds for who makes none, and is answered by the present scene's figures.
+    server
+        .patch(&json!({"quality": {"max_error": 0.015}}))
+        .await?;
+    let viewer = join_with(&server, None).await?;
+    let stats = server.at_rest(1).await?;
+    for quality in [&stats["quality"], &stats["viewers"][0]["quality"]] {
+        ensure!(
+            quality["asked_by"] == "scene" && quality["flip"].as_f64() <= Some(0.015),
+            "{quality}"
+        );
+    }
+    viewer.close().await;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_viewer_who_asks_for_more_than_the_cell_has_gets_it_without_a_restart_of_the_cell()
+-> Outcome {
+    let server = Server::start_calm().await?;
+    let draft = QualityChoice::Preset(QualityPreset::Draft);
+    let first = join_with(&server, Some(draft)).await?;
+    let coarse = server.at_rest(1).await?;
+    let balanced = QualityChoice::Preset(QualityPreset::Balanced);
+    let second = join_with(&server, Some(balanced)).await?;
+    let fine = server.at_rest(2).await?;
+    let cell = |stats: &Value| stats["cells"][0].clone();
+    ensure!(cell(&coarse)["id"] == cell(&fine)["id"]);
+    ensure!(cell(&coarse)["march_steps"].as_u64() < cell(&fine)["march_steps"].as_u64());
+    // The first one's wish has not changed; what it sees has become finer.
+    ensure!(fine["viewers"][0]["quality"]["picked"] == "draft", "{fine}");
+    let frames = first.seen().frames;
+    ensure!(frames > 0);
+    first.close().await;
+    second.close().await;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_budget_that_nothing_meets_ends_at_the_cheapest_and_says_so() -> Outcome {
+    // With wind, so that there are always frames to measure.
+    let server = Server::start().await?;
+    let budget = QualityChoice::BudgetMs(0.1);
+    let camera = camera([0.0, 2.0, 0.0], 0.0, 20.0)?;
+    let hello = Hello {
+        quality: Some(budget),
+        ..Hello::new(FrameSize::new(640, 360)?, 10.0, camera)
+    };
+    let viewer = Viewer::join_as(&server, hello).await?;
+    let quality = until("the cheapest point", async || {
+        let quality = server.get("api/v1/stats").await?["viewers"][0]["quality"].clone();
+        let is_draft = quality["picked"] == "draft" && quality["device_ms_per_frame"].is_f64();
+        Ok(is_draft.then_some(quality))
+    })
+    .await;
+    // A device that is faster than this, or that tells no times, cannot be brought to it.
+    let stats = server.get("api/v1/stats").await?;
+    if stats["adapter"]["device_type"] == "Cpu" {
+        let quality = quality?;
+        ensure!(quality["is_met"] == false, "{quality}");
+        ensure!(quality["asked"] == json!({"budget_ms": 0.1}), "{quality}");
+    }
+    viewer.close().await;
     Ok(())
 }
 
@@ -508,6 +620,11 @@ async fn bad_input_of_each_kind_gets_its_error_and_a_frame_still_comes_afterward
             "did you mean \"height\"",
         ),
         (
+            r#"{"type":"view","quality":{"budget_ms":0}}"#.to_owned(),
+            "bad-value",
+            "/quality/budget_ms",
+        ),
+        (
             r#"{"type":"view","width":0,"height":0}"#.to_owned(),
             "bad-value",
             "1 to 3840",
@@ -585,6 +702,12 @@ async fn bad_input_of_each_kind_gets_its_error_and_a_frame_still_comes_afterward
         (r#"{"sun":{"elevatoin_deg":1}}"#, 422, "elevation_deg"),
         (r#"{"sun":{"elevation_deg":91}}"#, 422, "/sun/elevation_deg"),
         (r#"{"wind":{"speed_m_per_s":-1}}"#, 422, "0 to 200"),
+        (
+            r#"{"quality":{"max_error":7}}"#,
+            422,
+            "/quality/max_error is 7; allowed: 0.001 to 1",
+        ),
+        (r#"{"quality":"best"}"#, 422, "balanced"),
     ] {
         let answer = server
             .http()

@@ -81,6 +81,24 @@ async fn the_page_shows_the_sky_looks_around_and_shares_it_with_a_second_tab() -
     first.screenshot(&file).await?;
     assert_shows_a_sky(&file, [left, top, width, height])?;
 
+    // Another quality is picked, marched and told.
+    let choose = |preset: &str| {
+        format!(
+            "(() => {{ const chooser = document.getElementById('quality'); chooser.value = '{preset}'; \
+             chooser.dispatchEvent(new Event('change')); return true; }})()"
+        )
+    };
+    first.evaluate(&choose("draft")).await?;
+    first
+        .wait_for(
+            "/^draft · FLIP (about )?[0-9.]+/.test(document.getElementById('picked').textContent)",
+        )
+        .await?;
+    first.evaluate(&choose("")).await?;
+    first
+        .wait_for("/^balanced|^high/.test(document.getElementById('picked').textContent)")
+        .await?;
+
     // A second tab shares the cell; it looks where the page looks at first, 20° or so beside the first.
     let second = browser.open(&url).await?;
     second.wait_for(SHOWS_FRAMES).await?;

@@ -8,7 +8,7 @@ use skycell_client::ServerAddress;
 use skycell_client::load::{self, LoadOptions, LoadReport, ViewerRing};
 use skycell_protocol::FrameSize;
 
-use super::{asked_to_stop, print_line, progress_bar};
+use super::{QualityArgument, asked_to_stop, print_line, progress_bar};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -85,6 +85,9 @@ pub(crate) struct Arguments {
     /// Updates until a texel has converged, if the server does not tell.
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
     samples: u32,
+    /// How good pictures are to be; without it what the scene or the server says.
+    #[arg(long, value_enum)]
+    quality: Option<QualityArgument>,
     /// Has the same views by the screen-space renderer as well, one frame each.
     #[arg(long)]
     renderer_baseline: bool,
@@ -179,6 +182,7 @@ fn options(arguments: &Arguments) -> anyhow::Result<LoadOptions> {
         turn_duration: Duration::from_secs_f64(arguments.seconds),
         turn_speed_deg_per_s: arguments.turn_speed,
         samples_per_texel: arguments.samples,
+        quality: arguments.quality.map(QualityArgument::preset),
         renderer_baseline: arguments.renderer_baseline,
         wind_off: arguments.wind_off,
     })

@@ -10,9 +10,34 @@ use std::path::Path;
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
+use skycell_protocol::QualityPreset;
 
 /// A camera path or a merge patch is no longer than this.
 const INPUT_MAX_BYTES: u64 = 8 << 20;
+
+/// `--quality`.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub(crate) enum QualityArgument {
+    /// Soon there.
+    Draft,
+    /// For software drivers and small GPUs.
+    Balanced,
+    /// For GPUs.
+    High,
+    /// Whatever it takes.
+    Reference,
+}
+
+impl QualityArgument {
+    fn preset(self) -> QualityPreset {
+        match self {
+            Self::Draft => QualityPreset::Draft,
+            Self::Balanced => QualityPreset::Balanced,
+            Self::High => QualityPreset::High,
+            Self::Reference => QualityPreset::Reference,
+        }
+    }
+}
 
 /// A bar on stderr; nothing where stderr is no terminal.
 fn progress_bar(template: &str) -> ProgressBar {

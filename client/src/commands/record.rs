@@ -10,7 +10,7 @@ use skycell_client::camera_path::CameraPath;
 use skycell_client::record::{RECORDING_FRAMES_MAX, RecordOptions, record};
 use skycell_protocol::{Camera, Codec, FrameSize};
 
-use super::{print_line, progress_bar, read_json_file};
+use super::{QualityArgument, print_line, progress_bar, read_json_file};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -52,6 +52,9 @@ pub(crate) struct Arguments {
     /// How pictures travel; files are PNG either way.
     #[arg(long, value_enum, default_value = "png")]
     codec: CodecArgument,
+    /// How good pictures are to be; without it what the scene or the server says.
+    #[arg(long, value_enum)]
+    quality: Option<QualityArgument>,
     /// How long to wait for a picture at its full resolution before a coarse one is taken.
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0)]
     sharp_wait_s: f64,
@@ -146,6 +149,7 @@ fn options(arguments: Arguments) -> anyhow::Result<RecordOptions> {
             CodecArgument::Jpeg => Codec::Jpeg,
             CodecArgument::Png => Codec::Png,
         },
+        quality: arguments.quality.map(QualityArgument::preset),
         sharp_wait: wait("--sharp-wait-s", arguments.sharp_wait_s)?,
         frame_timeout: wait("--timeout-s", arguments.timeout_s)?,
     })

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use indicatif::ProgressBar;
-use skycell_protocol::RendererKind;
 use skycell_protocol::message::Hello;
+use skycell_protocol::{QualityChoice, RendererKind};
 use tokio::time::timeout;
 
 use super::report::ScreenSpaceFigures;
@@ -34,6 +34,7 @@ pub(super) async fn measure(
         let camera = options.ring.camera(number, overlap, 0.0);
         let hello = Hello {
             renderer: RendererKind::ScreenSpace,
+            quality: options.quality.map(QualityChoice::Preset),
             ..Hello::new(options.size, options.fps, camera)
         };
         one_frame(address, hello)

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use skycell_protocol::ViewerId;
 use skycell_protocol::message::Hello;
+use skycell_protocol::{QualityChoice, ViewerId};
 use tokio::sync::{oneshot, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep};
@@ -41,11 +41,11 @@ impl Crowd {
                 number,
                 overlap,
             };
-            let hello = Hello::new(
-                options.size,
-                options.fps,
-                options.ring.camera(number, overlap, 0.0),
-            );
+            let camera = options.ring.camera(number, overlap, 0.0);
+            let hello = Hello {
+                quality: options.quality.map(QualityChoice::Preset),
+                ..Hello::new(options.size, options.fps, camera)
+            };
             let (joined, has_joined) = oneshot::channel();
             joining.push(has_joined);
             crowd.tasks.push(tokio::spawn(run_viewer(

@@ -23,7 +23,7 @@ use std::future::Future;
 use std::time::Duration;
 
 use indicatif::ProgressBar;
-use skycell_protocol::FrameSize;
+use skycell_protocol::{FrameSize, QualityPreset};
 use thiserror::Error;
 
 pub use self::report::LoadReport;
@@ -56,6 +56,8 @@ pub struct LoadOptions {
     pub turn_speed_deg_per_s: f64,
     /// Updates until a texel has converged, if the server does not tell.
     pub samples_per_texel: u32,
+    /// How good pictures are to be; none for what the scene or the server says.
+    pub quality: Option<QualityPreset>,
     /// Whether to have the same views by the screen-space renderer.
     pub renderer_baseline: bool,
     /// Whether to take the wind out of the scene for the test.

@@ -9,7 +9,7 @@ use crate::read_json::{ObjectReader, nearest_name};
 use crate::view::FRAMES_PER_SECOND;
 use crate::{
     Camera, Codec, FrameSequence, FrameSize, InputSequence, JpegQuality, PROTOCOL_VERSION,
-    RendererKind, ValueError,
+    QualityChoice, RendererKind, ValueError,
 };
 
 /// A message from a client, in range throughout.
@@ -44,6 +44,9 @@ pub struct Hello {
     pub camera: Camera,
     /// Which renderer makes the frames.
     pub renderer: RendererKind,
+    /// How good pictures are to be; none for what the scene or the server says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quality: Option<QualityChoice>,
 }
 
 impl Hello {
@@ -57,6 +60,7 @@ impl Hello {
             jpeg_quality: JpegQuality::default(),
             camera,
             renderer: RendererKind::default(),
+            quality: None,
         }
     }
 }
@@ -88,6 +92,9 @@ pub struct ViewChange {
     /// New quality of JPEG frames.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jpeg_quality: Option<JpegQuality>,
+    /// New wish for how good pictures are to be; null for what the scene or the server says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quality: Option<Option<QualityChoice>>,
 }
 
 impl ViewChange {
@@ -221,6 +228,7 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         "jpeg_quality",
         "camera",
         "renderer",
+        "quality",
     ])?;
     Ok(Hello {
         protocol,
@@ -236,6 +244,7 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         jpeg_quality: read_jpeg_quality(members)?.unwrap_or_default(),
         camera: members.required("camera", "a camera")?,
         renderer: members.member_or("renderer", RendererKind::default())?,
+        quality: members.member_or("quality", None)?,
     })
 }
 
@@ -255,7 +264,15 @@ fn read_camera_input(members: &ObjectReader<'_>) -> Result<CameraInput, ValueErr
 }
 
 fn read_view_change(members: &ObjectReader<'_>) -> Result<ViewChange, ValueError> {
-    members.only(&["type", "width", "height", "fps", "codec", "jpeg_quality"])?;
+    members.only(&[
+        "type",
+        "width",
+        "height",
+        "fps",
+        "codec",
+        "jpeg_quality",
+        "quality",
+    ])?;
     let change = ViewChange {
         width: members.optional("width")?,
         height: members.optional("height")?,
@@ -265,6 +282,7 @@ fn read_view_change(members: &ObjectReader<'_>) -> Result<ViewChange, ValueError
             .transpose()?,
         codec: members.optional::<Codec>("codec")?,
         jpeg_quality: read_jpeg_quality(members)?,
+        quality: members.optional("quality")?,
     };
     // Whatever the other side is, each named side must be in range.
     change.size_after(FrameSize::new(1, 1)?)?;
@@ -391,6 +409,7 @@ mod tests {
             ("codec", json!("gif"), "/codec"),
             ("jpeg_quality", json!(101), "/jpeg_quality"),
             ("renderer", json!("raster"), "/renderer"),
+            ("quality", json!({"budget_ms": 0}), "/quality/budget_ms"),
             ("heigth", json!(360), "/heigth"),
         ] {
             assert_eq!(
@@ -414,15 +433,17 @@ mod tests {
             png in any::<bool>(), screen_space in any::<bool>(), yaw_deg in -180.0..180.0f64,
             input in any::<u64>(), sequence in any::<u32>(), decode_us in any::<Option<u32>>(),
             present_us in any::<Option<u64>>(), some in any::<[bool; 5]>(),
+            max_error in proptest::option::of(proptest::option::of(0.001..=1.0f64)),
         ) {
             let camera = Camera::new([1.0, 2.0, 3.0], yaw_deg, 5.0, 60.0).expect("in range");
             let codec = if png { Codec::Png } else { Codec::Jpeg };
             let jpeg_quality = JpegQuality::new(quality).expect("in range");
             let renderer = if screen_space { RendererKind::ScreenSpace } else { RendererKind::Cached };
             let size = FrameSize::new(width, height).expect("in range");
+            let quality = max_error.map(|choice| choice.map(QualityChoice::MaxError));
             let messages = [
                 ClientMessage::Hello(Hello {
-                    codec, jpeg_quality, renderer, ..Hello::new(size, fps, camera)
+                    codec, jpeg_quality, renderer, quality: quality.flatten(), ..Hello::new(size, fps, camera)
                 }),
                 ClientMessage::Camera(CameraInput { input: InputSequence(input), camera }),
                 ClientMessage::View(ViewChange {
@@ -431,6 +452,7 @@ mod tests {
                     fps: some[2].then_some(fps),
                     codec: some[3].then_some(codec),
                     jpeg_quality: some[4].then_some(jpeg_quality),
+                    quality,
                 }),
                 ClientMessage::Ack(Acknowledgement {
                     sequence: FrameSequence(sequence), decode_us, present_us,

@@ -7,4 +7,4 @@ mod client;
 mod server;
 
 pub use client::{Acknowledgement, CameraInput, ClientMessage, Hello, MessageError, ViewChange};
-pub use server::{ErrorCode, ErrorMessage, ServerMessage, Status, Welcome};
+pub use server::{ErrorCode, ErrorMessage, PickedQuality, ServerMessage, Status, Welcome};

@@ -69,6 +69,25 @@ pub struct Status {
     /// The same of 95 of 100 texels.
     #[serde(default)]
     pub cache_error_p95_percent: Option<f64>,
+    /// How good this client's pictures are; null until the renderer has placed it.
+    #[serde(default)]
+    pub quality: Option<PickedQuality>,
+}
+
+/// What the server has picked for a client.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PickedQuality {
+    /// The preset, or `custom` for a point without a name.
+    pub name: String,
+    /// Its mean FLIP against the converged picture.
+    pub flip: f64,
+    /// That FLIP was measured; otherwise it is an estimate.
+    pub measured: bool,
+    /// The server has something as good, or as fast, as was asked for.
+    pub is_met: bool,
+    /// Device time of a frame, if the device tells.
+    #[serde(default)]
+    pub device_ms: Option<f64>,
 }
 
 /// Something that the client said is not allowed.

@@ -25,6 +25,7 @@ pub use sky::{
 };
 
 use crate::ValueError;
+use crate::quality::QualityChoice;
 use ranges::{EXPOSURE_EV, LAYERS_MAX};
 
 /// Why a document is no scene: pointer, value and what is allowed.
@@ -40,6 +41,7 @@ pub struct Scene {
     light: Light,
     wind: Wind,
     exposure_ev: f64,
+    quality: Option<QualityChoice>,
 }
 
 impl Scene {
@@ -62,6 +64,7 @@ impl Scene {
             light: (&self.light).into(),
             wind: (&self.wind).into(),
             exposure_ev: self.exposure_ev,
+            quality: self.quality,
         }
     }
 
@@ -108,6 +111,11 @@ impl Scene {
     pub fn exposure_ev(&self) -> f64 {
         self.exposure_ev
     }
+
+    /// How good pictures are to be for viewers who do not say; none for what the server is configured to.
+    pub fn quality(&self) -> Option<QualityChoice> {
+        self.quality
+    }
 }
 
 impl TryFrom<SceneDocument> for Scene {
@@ -130,6 +138,10 @@ impl TryFrom<SceneDocument> for Scene {
             light: Light::try_from(document.light).map_err(|e| e.under("/light"))?,
             wind: Wind::try_from(document.wind).map_err(|e| e.under("/wind"))?,
             exposure_ev: EXPOSURE_EV.check("/exposure_ev", document.exposure_ev)?,
+            quality: document
+                .quality
+                .map(|quality| quality.checked("/quality"))
+                .transpose()?,
         })
     }
 }

@@ -40,7 +40,8 @@ fn the_default_document_is_pinned() {
             "ambient": 1.0
         },
         "wind": {"towards_deg": 90.0, "speed_m_per_s": 5.0},
-        "exposure_ev": 0.0
+        "exposure_ev": 0.0,
+        "quality": null
     });
     assert_eq!(
         serde_json::to_value(SceneDocument::default()).expect("serialises"),
@@ -132,6 +133,10 @@ fn each_kind_of_bad_document_is_refused_where_it_is_wrong() {
         ),
         (json!({"version": 1, "wind": null}), "/wind"),
         (json!({"version": 1, "exposure_ev": 31}), "/exposure_ev"),
+        (
+            json!({"version": 1, "quality": {"max_error": 2}}),
+            "/quality/max_error",
+        ),
     ] {
         assert_eq!(error_of(document.clone()).pointer, pointer, "{document}");
     }
@@ -373,11 +378,13 @@ proptest! {
     fn a_scene_survives_document_and_json(
         layers in layers(), phase in phase(), wind in wind(), planet in planet(), atmosphere in atmosphere(),
         exposure_ev in in_range(ranges::EXPOSURE_EV), octaves in 1..=16u32,
+        budget_ms in proptest::option::of(in_range(crate::quality::BUDGET_MS)),
     ) {
         let document = SceneDocument {
             layers,
             wind,
             exposure_ev,
+            quality: budget_ms.map(crate::QualityChoice::BudgetMs),
             planet,
             atmosphere,
             light: LightDocument { phase, octaves, ..LightDocument::default() },

@@ -4,7 +4,7 @@ use crate::Ray;
 use glam::DVec3;
 
 /// How far a ray is followed in a flat world, m, where a horizontal one would never leave its layer.
-pub const FLAT_REACH_M: f64 = 2.0e7;
+pub const FLAT_REACH_M: f64 = 2.0e6;
 
 /// What lies below: a ground sphere around (0, −R, 0), or nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]

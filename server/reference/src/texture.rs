@@ -6,30 +6,38 @@ use crate::ReferenceError;
 /// Most texels along an edge.
 const EDGE_MAX: u32 = 65_536;
 
-/// Lower texel and share of the upper one at a coordinate in texels.
-fn split(texels: f64) -> (i64, f64) {
+/// The greatest whole number not above a value. Machines without an instruction for it call a function that is slower than
+/// the whole read; values beyond 2^63 do not occur.
+fn floor(value: f64) -> f64 {
+    let cut = value as i64 as f64;
+    if cut > value { cut - 1.0 } else { cut }
+}
+
+/// Both texels that a linear read along one axis takes, and the share of the upper one.
+type Tap = (usize, usize, f64);
+
+/// Both texels of a repeating edge at a coordinate in periods. Whole periods go first, which is exact and needs no
+/// division of integers.
+fn wrapped(periods: f64, size: u32) -> Tap {
+    let texels = (periods - floor(periods)) * f64::from(size) - 0.5;
+    let last = size as usize - 1;
+    if texels < 0.0 {
+        return (last, 0, texels + 1.0);
+    }
+    let low = (texels as usize).min(last);
+    let high = if low == last { 0 } else { low + 1 };
+    (low, high, texels - low as f64)
+}
+
+/// Both texels of a clamped edge at a coordinate in texels.
+pub(crate) fn clamped(texels: f64, size: u32) -> Tap {
     let shifted = texels - 0.5;
-    let floor = shifted.floor();
-    (floor as i64, shifted - floor)
-}
-
-/// Both texels of a repeating edge.
-fn wrapped(texels: f64, size: u32) -> (usize, usize, f64) {
-    let (low, share) = split(texels);
-    let size = i64::from(size);
-    let low = low.rem_euclid(size);
-    let high = if low + 1 == size { 0 } else { low + 1 };
-    (low as usize, high as usize, share)
-}
-
-/// Both texels of a clamped edge.
-pub(crate) fn clamped(texels: f64, size: u32) -> (usize, usize, f64) {
-    let (low, share) = split(texels);
+    let low = floor(shifted);
     let last = i64::from(size) - 1;
     (
-        low.clamp(0, last) as usize,
-        (low + 1).clamp(0, last) as usize,
-        share,
+        (low as i64).clamp(0, last) as usize,
+        (low as i64).saturating_add(1).clamp(0, last) as usize,
+        shifted - low,
     )
 }
 
@@ -97,6 +105,11 @@ impl ByteMap {
         self.height
     }
 
+    /// Whether both maps have as many texels along both edges.
+    pub(crate) fn is_sized_as(&self, other: &Self) -> bool {
+        (self.width, self.height) == (other.width, other.height)
+    }
+
     /// The texel of a column and a row that repeat.
     #[must_use]
     pub fn texel_repeated(&self, x: i64, y: i64) -> u8 {
@@ -105,7 +118,7 @@ impl ByteMap {
         self.texels[y * self.width as usize + x]
     }
 
-    fn mixed(&self, (x0, x1, fx): (usize, usize, f64), (y0, y1, fy): (usize, usize, f64)) -> f64 {
+    fn mixed(&self, (x0, x1, fx): Tap, (y0, y1, fy): Tap) -> f64 {
         let width = self.width as usize;
         let at = |x: usize, y: usize| f64::from(self.texels[y * width + x]);
         let upper = mix(at(x0, y0), at(x1, y0), fx);
@@ -113,13 +126,20 @@ impl ByteMap {
         mix(upper, lower, fy) / 255.0
     }
 
+    /// Where texture coordinates that repeat after 1 are read.
+    pub(crate) fn taps(&self, u: f64, v: f64) -> [Tap; 2] {
+        [wrapped(u, self.width), wrapped(v, self.height)]
+    }
+
+    /// The value at taps of a map of the same size.
+    pub(crate) fn at(&self, taps: [Tap; 2]) -> f64 {
+        self.mixed(taps[0], taps[1])
+    }
+
     /// The value at texture coordinates that repeat after 1.
     #[must_use]
     pub fn repeated(&self, u: f64, v: f64) -> f64 {
-        self.mixed(
-            wrapped(u * f64::from(self.width), self.width),
-            wrapped(v * f64::from(self.height), self.height),
-        )
+        self.at(self.taps(u, v))
     }
 
     /// The value at texture coordinates in 0…1, beyond which the edge's goes on.
@@ -168,7 +188,7 @@ impl ByteVolume {
     #[must_use]
     pub fn repeated(&self, at: [f64; 3]) -> [f64; 2] {
         let n = self.size as usize;
-        let [x, y, z] = at.map(|u| wrapped(u * f64::from(self.size), self.size));
+        let [x, y, z] = at.map(|u| wrapped(u, self.size));
         let line = |y: usize, z: usize| {
             let row = 2 * (z * n + y) * n;
             let (a, b) = (row + 2 * x.0, row + 2 * x.1);

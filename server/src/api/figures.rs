@@ -59,7 +59,7 @@ struct ServiceStats {
 pub(super) struct StatsReport {
     #[serde(flatten)]
     render: RenderStats,
-    /// Jittered samples that a texel averages before it has converged.
+    /// Jittered samples that a texel averages before it has converged: the most of any cell.
     samples: u32,
     service: ServiceStats,
 }
@@ -80,9 +80,13 @@ pub(super) async fn viewers(State(context): State<Arc<StreamContext>>) -> Json<V
 }
 
 pub(super) async fn stats(State(context): State<Arc<StreamContext>>) -> Json<StatsReport> {
+    let render = RenderStats::clone(&context.frame_loop.stats());
+    let in_cells = render.cells.iter().map(|cell| cell.samples).max();
     Json(StatsReport {
-        render: RenderStats::clone(&context.frame_loop.stats()),
-        samples: context.samples,
+        samples: in_cells
+            .filter(|samples| *samples > 0)
+            .unwrap_or(render.quality.settings.samples),
+        render,
         service: ServiceStats {
             viewers: context.viewers.count(),
             version: env!("CARGO_PKG_VERSION"),

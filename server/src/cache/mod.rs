@@ -132,7 +132,7 @@ impl Caches {
             let Some(reference) = references(*id) else {
                 continue;
             };
-            sphere.candidates(self.samples, reference, &mut found);
+            sphere.candidates(self.samples_of(sphere), reference, &mut found);
             candidates.extend(found.drain(..).map(|candidate| (*id, reference, candidate)));
         }
         candidates.sort_unstable_by(|a, b| a.2.rank(&b.2).then(a.0.cmp(&b.0)));
@@ -155,10 +155,11 @@ impl Caches {
                     sphere.insert(candidate.key, slot, self.frame);
                 }
             }
-            let sample = self
-                .spheres
-                .get_mut(&id)
-                .and_then(|sphere| sphere.sample(candidate.key, self.samples, reference));
+            let samples = self.samples;
+            let sample = self.spheres.get_mut(&id).and_then(|sphere| {
+                let samples = sphere.samples().unwrap_or(samples);
+                sphere.sample(candidate.key, samples, reference)
+            });
             if let Some((slot, sample_index, weight)) = sample {
                 updates.push(TileUpdate {
                     sphere: id,
@@ -199,13 +200,28 @@ impl Caches {
         let mut found = Vec::new();
         for (id, sphere) in &self.spheres {
             if let Some(reference) = references(*id) {
-                sphere.candidates(self.samples, reference, &mut found);
+                sphere.candidates(self.samples_of(sphere), reference, &mut found);
                 if !found.is_empty() {
                     return true;
                 }
             }
         }
         false
+    }
+
+    /// Everything of a cell is to be marched anew; it is shown until then.
+    pub fn age_cell(&mut self, cell: CellId) {
+        for (id, sphere) in &mut self.spheres {
+            if id.cell == cell {
+                sphere.age_all();
+            }
+        }
+    }
+
+    /// Samples that a sphere's texels average.
+    #[must_use]
+    pub fn samples_of(&self, sphere: &SphereCache) -> u32 {
+        sphere.samples().unwrap_or(self.samples)
     }
 
     /// Another number of samples that a texel averages.

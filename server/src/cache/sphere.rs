@@ -98,6 +98,8 @@ pub struct SphereCache {
     pub(super) tiles: HashMap<TileKey, Tile>,
     wanted: HashMap<TileKey, Want>,
     generation: u32,
+    /// Samples that texels average, if not as many as those of all spheres.
+    samples: Option<u32>,
     /// Whether tables must be made anew.
     tables_changed: bool,
 }
@@ -106,6 +108,17 @@ impl SphereCache {
     /// Everything marched so far shows an older scene.
     pub fn age_all(&mut self) {
         self.generation = self.generation.wrapping_add(1);
+    }
+
+    /// Another number of samples that its texels average. More are added to those that are there.
+    pub fn set_samples(&mut self, samples: u32) {
+        self.samples = Some(samples.max(1));
+    }
+
+    /// Samples that its texels average, if that was said.
+    #[must_use]
+    pub fn samples(&self) -> Option<u32> {
+        self.samples
     }
 
     /// Replaces what viewers want by the union of their requests and the coarse level.

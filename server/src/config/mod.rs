@@ -10,6 +10,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use skycell_protocol::QualityChoice;
 use skycell_protocol::camera::{POSITION_ALTITUDE_M, POSITION_HORIZONTAL_M};
 use skycell_protocol::number_range::NumberRange;
 use skycell_protocol::read_json::{ObjectReader, ReadJson, read_name};
@@ -65,15 +66,18 @@ pub struct Config {
 /// The renderer's settings: section `[render]`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RenderConfig {
-    /// Halvings of the caches' resolution below that of the screen, 0 to 4. Without: 0 on a GPU, 1 on a software driver.
+    /// Halvings of the caches' resolution below that of the screen, 0 to 4. Without: what the quality says.
     pub mip_bias: Option<f32>,
-    /// Jittered samples that a texel averages, 1 to 16.
-    pub samples: u32,
+    /// Jittered samples that a texel averages, 1 to 16. Without: what the quality says.
+    pub samples: Option<u32>,
+    /// How good pictures are for viewers who do not say, in scenes that do not. Without: `high` on a GPU, `balanced` on a
+    /// software driver.
+    pub quality: Option<QualityChoice>,
     /// GPU memory for caches.
     pub cache_memory_mib: u32,
-    /// Steps of the march through a layer's thickness. Without: 128 on a GPU, 64 on a software driver.
+    /// Steps of the march through a layer's thickness. Without: what the quality says.
     pub march_steps: Option<u32>,
-    /// How caches are read for a frame. Without: Catmull-Rom on a GPU, bilinear on a software driver.
+    /// How caches are read for a frame. Without: what the quality says.
     pub frame_filter: Option<FrameFilter>,
     /// Where noise volumes are kept between runs.
     pub noise_cache_dir: PathBuf,
@@ -102,12 +106,18 @@ pub struct PlacedCell {
     pub radius_m: f64,
 }
 
+impl FrameFilter {
+    /// Every filter.
+    pub const ALL: [Self; 2] = [Self::CatmullRom, Self::Bilinear];
+}
+
 impl RenderConfig {
     /// The defaults of a server that keeps its noise in `noise_cache_dir`.
     pub fn new(noise_cache_dir: PathBuf) -> Self {
         Self {
             mip_bias: None,
-            samples: 8,
+            samples: None,
+            quality: None,
             cache_memory_mib: 256,
             march_steps: None,
             frame_filter: None,
@@ -121,6 +131,7 @@ impl RenderConfig {
         members.only(&[
             "mip_bias",
             "samples",
+            "quality",
             "cache_memory_mib",
             "march_steps",
             "frame_filter",
@@ -131,7 +142,11 @@ impl RenderConfig {
                 Some(bias) => Some(MIP_BIAS.check(&members.pointer_of("mip_bias"), bias)? as f32),
                 None => default.mip_bias,
             },
-            samples: count(&members, "samples", SAMPLES, default.samples)?,
+            samples: match members.optional::<u32>("samples")? {
+                Some(samples) => Some(SAMPLES.check_u32(&members.pointer_of("samples"), samples)?),
+                None => default.samples,
+            },
+            quality: members.optional("quality")?.or(default.quality),
             cache_memory_mib: count(
                 &members,
                 "cache_memory_mib",

@@ -23,6 +23,8 @@ enum Kind {
     Number,
     /// Separated by commas.
     List,
+    /// JSON, or a name.
+    JsonOrText,
 }
 
 /// The keys that the environment can set. `render/samples` is `SKYCELL_RENDER_SAMPLES`.
@@ -36,6 +38,7 @@ const KEYS: &[(&str, Kind)] = &[
     ("log", Kind::Text),
     ("render/mip_bias", Kind::Number),
     ("render/samples", Kind::Number),
+    ("render/quality", Kind::JsonOrText),
     ("render/cache_memory_mib", Kind::Number),
     ("render/march_steps", Kind::Number),
     ("render/frame_filter", Kind::Text),
@@ -190,6 +193,9 @@ fn set_from_environment(tree: &mut Map<String, Value>, variables: &[(String, Str
         };
         let value = match kind {
             Kind::Text => Value::from(text.as_str()),
+            Kind::JsonOrText => {
+                serde_json::from_str(text).unwrap_or_else(|_| Value::from(text.as_str()))
+            }
             // What is no number stays text and is refused as such.
             Kind::Number => serde_json::from_str::<serde_json::Number>(text.trim())
                 .map_or_else(|_| Value::from(text.as_str()), Value::Number),

@@ -1,5 +1,7 @@
 use std::io::Write;
 
+use skycell_protocol::QualityPreset;
+
 use super::*;
 
 fn file(text: &str) -> tempfile::NamedTempFile {
@@ -46,7 +48,7 @@ fn flags_beat_the_environment_and_the_environment_beats_the_file() {
     assert_eq!(config.viewers_max, 2);
     assert_eq!(
         (config.render.samples, config.render.mip_bias),
-        (5, Some(1.0))
+        (Some(5), Some(1.0))
     );
     assert_eq!(config.state_dir, PathBuf::from("state"));
     assert_eq!(config.render.noise_cache_dir, PathBuf::from("state/cache"));
@@ -97,6 +99,22 @@ fn a_bad_value_is_told_with_its_source_and_what_is_allowed() {
             ["file ", "/render/samples is 17; allowed: 1 to 16"],
         ),
         (
+            "[render]\nquality = {max_error = 2}",
+            vec![],
+            [
+                "file ",
+                "/render/quality/max_error is 2; allowed: 0.001 to 1",
+            ],
+        ),
+        (
+            "",
+            vec![("SKYCELL_RENDER_QUALITY", "best")],
+            [
+                "environment",
+                "/render/quality is \"best\"; allowed: \"draft\"",
+            ],
+        ),
+        (
             "render = 3",
             vec![],
             ["file ", "/render is 3; allowed: an object"],
@@ -136,6 +154,39 @@ fn a_bad_value_is_told_with_its_source_and_what_is_allowed() {
         .expect_err("missing")
         .to_string();
     assert!(message.contains("no/such/file.toml"), "{message}");
+}
+
+#[test]
+fn a_quality_is_a_name_or_an_object_in_the_file_and_in_the_environment() {
+    for (text, environment, choice) in [
+        (
+            "[render]\nquality = 'draft'",
+            vec![],
+            QualityChoice::Preset(QualityPreset::Draft),
+        ),
+        (
+            "[render]\nquality = {budget_ms = 5}",
+            vec![],
+            QualityChoice::BudgetMs(5.0),
+        ),
+        (
+            "",
+            vec![("SKYCELL_RENDER_QUALITY", "reference")],
+            QualityChoice::Preset(QualityPreset::Reference),
+        ),
+        (
+            "",
+            vec![("SKYCELL_RENDER_QUALITY", "{\"max_error\": 0.01}")],
+            QualityChoice::MaxError(0.01),
+        ),
+    ] {
+        let config = resolve(text, &environment).expect("resolves");
+        assert_eq!(
+            config.render.quality,
+            Some(choice),
+            "{text} {environment:?}"
+        );
+    }
 }
 
 #[test]

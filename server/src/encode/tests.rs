@@ -62,6 +62,7 @@ impl Bench {
             jpeg_quality: 85,
             camera: Camera::default(),
             renderer: RendererKind::Cached,
+            quality: None,
         };
         self.registry.join(view).expect("room")
     }

@@ -76,7 +76,7 @@ impl SkyRenderer {
         let mut settled: Vec<(SphereId, Vec<_>)> = Vec::new();
         for cell in self.active_cells.keys() {
             for (id, sphere) in self.caches.spheres_of(*cell) {
-                settled.push((*id, sphere.settled(self.caches.samples())));
+                settled.push((*id, sphere.settled(self.caches.samples_of(sphere))));
             }
         }
         let tiles: usize = settled.iter().map(|(_, tiles)| tiles.len()).sum();
@@ -166,7 +166,7 @@ impl SkyRenderer {
             &self.atlas,
             &AuditGroup {
                 cell: &cell.buffers,
-                features: layer_features(&self.scene, scene_index, &self.settings),
+                features: layer_features(&self.scene, scene_index, &cell.settings),
                 scene: &scene,
                 work,
             },
@@ -239,6 +239,7 @@ mod tests {
                 jpeg_quality: 100,
                 camera: Camera::new([0.0, 2.0, 0.0], 0.0, 25.0, 60.0).expect("a camera"),
                 renderer: RendererKind::Cached,
+                quality: None,
             },
         );
         loop {

@@ -4,7 +4,7 @@ use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
 use crate::composite::view_frustum;
-use crate::march::{CellBuffers, CellFrame, scene_uniform};
+use crate::march::{CellBuffers, CellFrame, MarchSettings, scene_uniform};
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, RendererKind, ViewerId};
 use std::time::{Duration, Instant};
@@ -29,6 +29,10 @@ pub(super) struct ActiveCell {
     anchors: Vec<Anchor>,
     coarse: Vec<Vec<TileRequest>>,
     pub(super) buffers: CellBuffers,
+    /// How its rays are marched.
+    pub(super) settings: MarchSettings,
+    /// Jittered samples that its texels average.
+    pub(super) samples: u32,
     /// When its caches began.
     begun: Instant,
     /// Requests or reference have changed since the caches were told.
@@ -53,6 +57,8 @@ impl SkyRenderer {
             anchors,
             coarse: Vec::new(),
             buffers: CellBuffers::new(&self.gpu, &self.pipelines, &self.field.bind_group),
+            settings: self.settings,
+            samples: self.caches.samples(),
             begun: Instant::now(),
             requests_changed: true,
             looked_up: Instant::now(),
@@ -164,11 +170,14 @@ impl SkyRenderer {
         let anchors: Vec<DVec3> = (0..self.active.len())
             .map(|layer| self.anchor_m(cell, layer))
             .collect();
+        if cell.requests_changed {
+            self.refresh_cell_settings(id, cell);
+        }
         let uniform = scene_uniform(
             &self.scene,
             &self.active,
             &self.light,
-            self.settings,
+            cell.settings,
             &cell.frame,
             &self.drifts,
             &anchors,
@@ -198,9 +207,10 @@ impl SkyRenderer {
                 }
                 if drifted || viewer.requests.len() != spheres.len() {
                     let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
+                    let mip_bias = viewer.quality.settings.mip_bias;
                     viewer.requests = spheres
                         .iter()
-                        .map(|s| requested_tiles(&frustum, s, self.mip_bias))
+                        .map(|s| requested_tiles(&frustum, s, mip_bias))
                         .collect();
                 }
             }
@@ -219,6 +229,7 @@ impl SkyRenderer {
                     cell: id,
                     layer: layer as u32,
                 });
+                sphere.set_samples(cell.samples);
                 sphere.set_wanted(if used { coarse } else { &[] }, requests);
             }
             cell.requests_changed = false;
@@ -278,10 +289,10 @@ impl SkyRenderer {
 
     /// Share of the wanted samples that the caches hold.
     pub(super) fn share_done(&self) -> f64 {
-        let samples = self.caches.samples();
         let (mut wanted, mut pending) = (0, 0);
         for id in self.active_cells.keys() {
             for (_, sphere) in self.caches.spheres_of(*id) {
+                let samples = self.caches.samples_of(sphere);
                 let (_, unique) = sphere.requested_and_unique();
                 wanted += unique * u64::from(samples) + sphere.coarse_only();
                 pending += sphere.pending_samples(samples);

@@ -12,9 +12,11 @@ use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Instant;
 
 use crate::audit::AuditStats;
+use crate::quality::QualitySettings;
 use serde::Serialize;
 use skycell_protocol::{
-    Camera, CellId, Codec, FrameSequence, FrameSize, InputSequence, RendererKind, Scene, ViewerId,
+    Camera, CellId, Codec, FrameSequence, FrameSize, InputSequence, QualityChoice, RendererKind,
+    Scene, ViewerId,
 };
 use thiserror::Error;
 
@@ -42,6 +44,8 @@ pub struct ViewRequest {
     pub camera: Camera,
     /// Which renderer makes the frames.
     pub renderer: RendererKind,
+    /// How good pictures are to be; none for what the scene or the server says.
+    pub quality: Option<QualityChoice>,
 }
 
 /// A message to the frame loop.
@@ -250,6 +254,8 @@ pub struct RenderStats {
     pub totals: RenderTotals,
     /// How far cached texels are from texels marched anew at high quality.
     pub audit: AuditStats,
+    /// What is picked for viewers who ask for no quality.
+    pub quality: QualityStats,
     /// The view cells that exist.
     pub cells: Vec<CellStats>,
     /// The viewers that the loop knows.
@@ -333,6 +339,10 @@ pub struct CellStats {
     pub bytes: u64,
     /// Nothing waits for an update.
     pub converged: bool,
+    /// Steps through a layer's thickness of its rays.
+    pub march_steps: u32,
+    /// Jittered samples that its texels average.
+    pub samples: u32,
 }
 
 /// A viewer as the frame loop sees it.
@@ -350,6 +360,43 @@ pub struct ViewerRenderStats {
     pub frames_in_flight: u32,
     /// Which renderer makes its frames.
     pub renderer: RendererKind,
+    /// What is asked for, picked and achieved.
+    pub quality: QualityStats,
+}
+
+/// Who asked for a quality.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AskedBy {
+    /// The viewer itself.
+    Viewer,
+    /// The scene document.
+    Scene,
+    /// The server's configuration, or its default for the adapter.
+    #[default]
+    Server,
+}
+
+/// A quality: what is asked for, what is picked, what it achieves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct QualityStats {
+    /// What is asked for.
+    pub asked: Option<QualityChoice>,
+    /// By whom.
+    pub asked_by: AskedBy,
+    /// The preset of the picked point, or `custom`.
+    pub picked: &'static str,
+    /// What it sets, after what the configuration fixes. The march's are those of the cell, when others there ask for finer.
+    pub settings: QualitySettings,
+    /// Mean FLIP of the picked point against the converged picture.
+    pub flip: f64,
+    /// That FLIP was measured with these settings; otherwise it is an estimate.
+    pub measured: bool,
+    /// Something is picked that is as good, or as fast, as was asked for.
+    pub is_met: bool,
+    /// Device time of a frame: its composite, and the march of its view spread over eight seconds of frames; null while
+    /// nothing was measured.
+    pub device_ms_per_frame: Option<f64>,
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ mod cells_on_device;
 pub mod interface;
 mod pacing;
 mod passes;
+mod qualities;
 mod renderer;
 mod screen_space;
 mod stats;

@@ -111,6 +111,7 @@ impl FrameLoop {
     ) -> Result<(FrameLoopHandle, JoinHandle<()>), GpuError> {
         let gpu = Gpu::open_blocking()?;
         let mut renderer = SkyRenderer::new(gpu, config, scene, revision, cells)?;
+        renderer.let_qualities_be_chosen()?;
         renderer.warm_up()?;
         let (sender, commands) = render_command_channel();
         let stats = StatsCell::new();
@@ -241,6 +242,7 @@ impl FrameLoop {
                 IDLE_INTERVAL
             };
         }
+        self.renderer.consider_budgets(now);
         self.note_wind(now);
         self.renderer.refresh_cells();
         let due = self.due_viewers(now);

@@ -52,9 +52,10 @@ impl SkyRenderer {
             .into_iter()
             .filter_map(|(sphere, updates)| {
                 let scene_index = self.active.get(sphere.layer as usize)?.scene_index;
+                let cell = self.active_cells.get(&sphere.cell)?;
                 Some(TexelGroup {
-                    cell: &self.active_cells.get(&sphere.cell)?.buffers,
-                    features: layer_features(&self.scene, scene_index, &self.settings),
+                    cell: &cell.buffers,
+                    features: layer_features(&self.scene, scene_index, &cell.settings),
                     layer: sphere.layer,
                     updates,
                 })
@@ -230,7 +231,12 @@ impl SkyRenderer {
             &mut self.timing,
             &self.pipelines,
             &CompositeInputs {
-                key: composite_key(self.frame_filter, self.active.len(), screen_space, false),
+                key: composite_key(
+                    viewer.quality.settings.frame_filter,
+                    self.active.len(),
+                    screen_space,
+                    false,
+                ),
                 scene: &cell.buffers.scene_group,
                 layers: &layers,
                 view: &view,

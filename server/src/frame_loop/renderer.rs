@@ -4,6 +4,7 @@
 use super::auditing::Audit;
 use super::cells_on_device::ActiveCell;
 use super::interface::{RenderStats, ViewRequest};
+use super::qualities::Qualities;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
 use crate::cells::Cells;
@@ -47,10 +48,13 @@ pub(super) struct SkyRenderer {
     pub(super) caches: Caches,
     pub(super) cells: Cells,
     pub(super) config: RenderConfig,
-    /// As configured, or as suits the adapter.
+    /// What is asked for, and what is picked.
+    pub(super) qualities: Qualities,
+    /// Of single pictures; viewers have their own.
     pub(super) frame_filter: FrameFilter,
+    /// Of single pictures; viewers have their own.
     pub(super) mip_bias: f64,
-    /// How rays are marched.
+    /// How rays are marched, but for what a quality sets.
     pub(super) settings: MarchSettings,
     /// Halvings of the screen-space renderer's resolution as a divisor: 1, 2 or 4.
     pub(super) resolution_divisor: u32,
@@ -80,12 +84,14 @@ impl SkyRenderer {
         let tile_bytes = TEXELS_PER_TILE * BYTES_PER_TEXEL;
         let tiles_max = (u64::from(config.cache_memory_mib) << 20) / tile_bytes;
         let tiles_max = tiles_max.clamp(32, u64::from(Atlas::tiles_max(&gpu))) as u32;
+        let qualities = Qualities::new(&config, gpu.is_software());
+        let base = qualities.default_settings();
         let mut renderer = Self {
             atlas: Atlas::new(&gpu),
             texel_march: TexelMarch::new(&gpu),
             audit: Audit::new(&gpu, &pipelines),
             timing: TimingRing::new(&gpu),
-            caches: Caches::new(tiles_max, config.samples),
+            caches: Caches::new(tiles_max, base.samples),
             cells: Cells::new(placed),
             light: sky_light(&scene, 0.0),
             scene: scene.clone(),
@@ -96,20 +102,15 @@ impl SkyRenderer {
             viewers: BTreeMap::new(),
             counters: Counters::default(),
             in_flight: Arc::default(),
-            frame_filter: config.frame_filter.unwrap_or(if gpu.is_software() {
-                FrameFilter::Bilinear
-            } else {
-                FrameFilter::CatmullRom
-            }),
-            mip_bias: config
-                .mip_bias
-                .map_or(if gpu.is_software() { 1.0 } else { 0.0 }, f64::from),
+            frame_filter: base.frame_filter,
+            mip_bias: base.mip_bias,
             settings: MarchSettings {
-                steps: config
-                    .march_steps
-                    .unwrap_or(if gpu.is_software() { 64 } else { 128 }),
+                steps: base.march_steps,
+                sun_steps: base.sun_steps,
+                octaves: base.octaves,
                 ..MarchSettings::default()
             },
+            qualities,
             resolution_divisor: 1,
             gpu,
             pipelines,
@@ -125,17 +126,21 @@ impl SkyRenderer {
     pub(super) fn set_scene(&mut self, scene: Arc<Scene>, revision: u64) -> Result<(), GpuError> {
         let active = active_layers(&scene);
         let mut keys = Vec::new();
-        for screen_space in [false, true] {
-            let key = composite_key(self.frame_filter, active.len(), screen_space, false);
-            keys.extend([key, ground_key(key)]);
+        for filter in FrameFilter::ALL {
+            for screen_space in [false, true] {
+                let key = composite_key(filter, active.len(), screen_space, false);
+                keys.extend([key, ground_key(key)]);
+            }
         }
-        for layer in &active {
-            let features = layer_features(&scene, layer.scene_index, &self.settings);
-            keys.extend([
-                texels_key(features),
-                pixels_key(features, false),
-                audit_key(features),
-            ]);
+        for settings in self.possible_settings(scene.light().octaves()) {
+            for layer in &active {
+                let features = layer_features(&scene, layer.scene_index, &settings);
+                keys.extend([
+                    texels_key(features),
+                    pixels_key(features, false),
+                    audit_key(features),
+                ]);
+            }
         }
         for key in keys {
             self.pipelines.prepare(&self.gpu, key)?;
@@ -174,6 +179,7 @@ impl SkyRenderer {
             self.viewers.iter().map(|(id, v)| (*id, v.view)).collect();
         for (id, view) in views {
             self.choose_renderer(id, &view);
+            self.refresh_quality(id);
             if let Some(viewer) = self.viewers.get_mut(&id) {
                 viewer.screen_space = None;
             }
@@ -200,6 +206,7 @@ impl SkyRenderer {
                     jpeg_quality: 100,
                     camera,
                     renderer,
+                    quality: None,
                 },
             );
             self.refresh_cells();
@@ -210,14 +217,12 @@ impl SkyRenderer {
                 self.march_screen_space(viewer, 1);
             }
             self.refresh_cells();
-            let key = composite_key(
-                self.frame_filter,
-                self.active.len(),
-                renderer == RendererKind::ScreenSpace,
-                false,
-            );
-            let picture = Picture::new(&self.gpu, &self.pipelines, size, false);
-            self.composite_still(viewer, &picture, key)?;
+            let screen_space = renderer == RendererKind::ScreenSpace;
+            for filter in FrameFilter::ALL {
+                let key = composite_key(filter, self.active.len(), screen_space, false);
+                let picture = Picture::new(&self.gpu, &self.pipelines, size, false);
+                self.composite_still(viewer, &picture, key)?;
+            }
             self.leave(viewer);
         }
         self.gpu.wait()?;

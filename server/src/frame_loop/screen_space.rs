@@ -66,7 +66,7 @@ impl SkyRenderer {
                 && viewer
                     .screen_space
                     .as_ref()
-                    .is_none_or(|job| job.sample < self.config.samples)
+                    .is_none_or(|job| job.sample < viewer.quality.settings.samples)
         })
     }
 
@@ -102,11 +102,12 @@ impl SkyRenderer {
             viewer.screen_space = Some(ScreenSpaceJob::new(marched, view));
         }
         let mut complete = false;
+        let samples = viewer.quality.settings.samples;
         if let Some(job) = &mut viewer.screen_space {
             if layers == 0 {
-                job.sample = self.config.samples;
+                job.sample = samples;
                 complete = true;
-            } else if job.sample < self.config.samples {
+            } else if job.sample < samples {
                 complete = self.march_strip(viewer.cell, job, budget_ns, layers);
             }
         }
@@ -132,7 +133,7 @@ impl SkyRenderer {
         let left = size.height() - job.row;
         let rows = rows.next_multiple_of(8).clamp(8, left.max(8)).min(left);
         let scene_index = self.active[job.layer as usize].scene_index;
-        let features = layer_features(&self.scene, scene_index, &self.settings);
+        let features = layer_features(&self.scene, scene_index, &self.cell_settings(cell));
         let mut view = job.view;
         view.width = size.width();
         view.height = size.height();

@@ -49,6 +49,7 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             rests: renderer.viewers.is_empty() || !renderer.audit.is_pending(),
             ..renderer.audit.stats(Instant::now())
         },
+        quality: renderer.scene_quality_stats(),
         cells: renderer
             .cells
             .iter()
@@ -64,6 +65,7 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
                 frames_composited: viewer.frames_composited,
                 frames_in_flight: viewer.frames_in_flight(),
                 renderer: viewer.kind,
+                quality: renderer.viewer_quality_stats(viewer),
             })
             .collect(),
     }
@@ -73,7 +75,6 @@ fn cell_stats(renderer: &SkyRenderer, id: CellId) -> CellStats {
     let Some(cell) = renderer.cells.get(id) else {
         return CellStats::default();
     };
-    let samples = renderer.caches.samples();
     let mut stats = CellStats {
         id,
         name: cell.name.clone(),
@@ -81,6 +82,9 @@ fn cell_stats(renderer: &SkyRenderer, id: CellId) -> CellStats {
         viewers: cell.members.clone(),
         ..CellStats::default()
     };
+    if let Some(active) = renderer.active_cells.get(&id) {
+        (stats.march_steps, stats.samples) = (active.settings.steps, active.samples);
+    }
     if let Some((drift, _)) = renderer.cell_drift(id) {
         stats.anchor_drift_m = drift.to_array();
     }
@@ -89,7 +93,8 @@ fn cell_stats(renderer: &SkyRenderer, id: CellId) -> CellStats {
         stats.texels_requested += requested * TEXELS_PER_TILE;
         stats.texels_unique += unique * TEXELS_PER_TILE;
         stats.texels_coarse += sphere.coarse_only() * TEXELS_PER_TILE;
-        stats.texels_pending += sphere.pending_samples(samples) * TEXELS_PER_TILE;
+        stats.texels_pending +=
+            sphere.pending_samples(renderer.caches.samples_of(sphere)) * TEXELS_PER_TILE;
         stats.tiles_resident += sphere.resident() as u64;
     }
     stats.bytes = stats.tiles_resident * TEXELS_PER_TILE * BYTES_PER_TEXEL;

@@ -241,6 +241,7 @@ impl StillRenderer {
                 jpeg_quality: 100,
                 camera,
                 renderer: settings.renderer,
+                quality: None,
             },
         );
         renderer
@@ -300,7 +301,7 @@ impl StillRenderer {
     ) -> Result<(), GpuError> {
         let renderer = &mut self.renderer;
         if screen_space {
-            let samples = f64::from(renderer.config.samples);
+            let samples = f64::from(renderer.caches.samples());
             let mut done = 0.0;
             while renderer.screen_space_pending(VIEWER) {
                 done += f64::from(u8::from(renderer.march_screen_space(VIEWER, STRIP_NS)));
@@ -374,7 +375,6 @@ impl Start {
         let renderer = &mut still.renderer;
         renderer.leave(VIEWER);
         renderer.settings = settings.march;
-        renderer.config.samples = settings.samples;
         renderer.caches.set_samples(settings.samples);
         renderer.mip_bias = f64::from(settings.mip_bias);
         renderer.resolution_divisor = settings.resolution_divisor;

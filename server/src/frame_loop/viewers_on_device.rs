@@ -1,6 +1,7 @@
 //! Viewers on the device: who joins, moves, changes its wishes and leaves.
 
 use super::interface::ViewRequest;
+use super::qualities::ViewerQuality;
 use super::renderer::SkyRenderer;
 use super::screen_space::ScreenSpaceJob;
 use crate::cache::{TEXELS_PER_TILE, TileRequest};
@@ -19,6 +20,7 @@ pub(super) struct ActiveViewer {
     pub(super) cell: CellId,
     /// Which renderer makes its frames: the one that it asks for, or rays of its own where the cache does not reach.
     pub(super) kind: RendererKind,
+    pub(super) quality: ViewerQuality,
     pub(super) requests: Vec<Vec<TileRequest>>,
     pub(super) picture: Picture,
     pub(super) ring: ReadbackRing,
@@ -46,6 +48,7 @@ impl SkyRenderer {
         let bytes = u64::from(view.size.pixels()) * 4;
         let viewer = ActiveViewer {
             kind: self.kind_of(&view),
+            quality: self.quality_of(&view, None),
             view,
             input: InputSequence(0),
             cell,
@@ -120,6 +123,7 @@ impl SkyRenderer {
         viewer.screen_space = None;
         let input = viewer.input;
         viewer.view = view;
+        self.refresh_quality(id);
         self.set_camera(id, input, view.camera);
     }
 

@@ -31,6 +31,7 @@ pub fn audit_key(layer: Features) -> PipelineKey {
             catmull_rom: false,
             linear_output: false,
             screen_space: false,
+            count_reads: false,
             ..layer
         },
     }

@@ -1,5 +1,6 @@
 //! The shaders' functions at given points: what tests hold against their f64 twins and what the probe command prints.
 
+pub mod command;
 mod field;
 mod functions;
 

@@ -5,15 +5,15 @@ const WHITE: [f64; 3] = [0.8444, 1.0602, 1.0954];
 
 /// How radiance becomes bytes.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Display {
-    pub(super) exposure: f64,
-    pub(super) tone_map: bool,
-    pub(super) dither: bool,
+pub(crate) struct Display {
+    pub(crate) exposure: f64,
+    pub(crate) tone_map: bool,
+    pub(crate) dither: bool,
 }
 
 impl Display {
     /// The bytes of a pixel.
-    pub(super) fn bytes(&self, radiance: [f64; 3], column: u32, row: u32) -> [u8; 3] {
+    pub(crate) fn bytes(&self, radiance: [f64; 3], column: u32, row: u32) -> [u8; 3] {
         let noise = if self.dither {
             // J. Jimenez, "Next Generation Post Processing in Call of Duty", 2014.
             let inner = f64::from(column) * 0.067_110_56 + f64::from(row) * 0.005_837_15;

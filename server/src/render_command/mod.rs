@@ -2,7 +2,7 @@
 
 mod arguments;
 mod device;
-mod display;
+pub(crate) mod display;
 mod processor;
 mod rays;
 
@@ -62,7 +62,7 @@ pub(crate) fn read_scene(path: Option<&Path>) -> anyhow::Result<Scene> {
     Scene::from_json(&value).with_context(|| format!("the scene file {}", path.display()))
 }
 
-fn triple(values: &[f64]) -> anyhow::Result<[f64; 3]> {
+pub(crate) fn triple(values: &[f64]) -> anyhow::Result<[f64; 3]> {
     <[f64; 3]>::try_from(values).map_err(|_| anyhow::anyhow!("a position has three numbers"))
 }
 

@@ -155,3 +155,24 @@ fn changes_that_race_each_get_their_own_revision() {
     });
     assert_eq!(store.snapshot().revision, 9);
 }
+
+#[test]
+fn a_patch_that_names_voxels_is_taken_when_they_are_there_and_else_leaves_the_scene_as_it_was() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let store = open(&folder);
+    let before = store.snapshot();
+    let patch = json!({"layers": [{"density": {"model": "grid", "file": "two.f32", "dimensions": [2, 1, 1]}}]});
+    match store.patch(&Precondition::Any, &patch) {
+        Err(ScenePatchError::Invalid(error)) => {
+            assert_eq!(error.pointer, "/layers/0/density/file");
+            assert!(error.allowed.contains("cannot be read"), "{error}");
+        }
+        other => panic!("{other:?}"),
+    }
+    assert_eq!(store.snapshot(), before);
+    let grids = folder.path().join("grids");
+    std::fs::create_dir_all(&grids).expect("a folder");
+    std::fs::write(grids.join("two.f32"), [0u8; 8]).expect("written");
+    let after = store.patch(&Precondition::Any, &patch).expect("taken");
+    assert_eq!(after.revision, before.revision + 1);
+}

@@ -127,7 +127,6 @@ impl ServiceParts {
             metrics: Arc::clone(&self.metrics),
             stall: Duration::from_secs_f64(self.config.viewer_stall_s),
             allowed_origins: self.config.allowed_origins,
-            samples: self.config.render.samples,
             shutdown: shutdown.clone(),
             sessions: TaskTracker::new(),
             connections: connection_limit(self.config.viewers_max),

@@ -117,6 +117,7 @@ impl Inbound<'_> {
             if let Some(quality) = change.jpeg_quality {
                 view.jpeg_quality = quality.get();
             }
+            view.quality = change.quality.unwrap_or(view.quality);
         });
         self.pace.view();
     }

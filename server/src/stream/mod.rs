@@ -53,8 +53,6 @@ pub struct StreamContext {
     pub stall: Duration,
     /// Origins of other sites whose pages may connect.
     pub allowed_origins: Vec<String>,
-    /// Jittered samples that a texel averages; whoever measures the renderer wants to know.
-    pub samples: u32,
     /// Ends every session when it is cancelled.
     pub shutdown: CancellationToken,
     /// Knows the sessions that still run.

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use futures_util::SinkExt;
 use futures_util::stream::SplitSink;
 use skycell_protocol::frame::FrameCodec;
-use skycell_protocol::message::{ServerMessage, Status};
+use skycell_protocol::message::{PickedQuality, ServerMessage, Status};
 use skycell_protocol::{CellId, FrameHeader, FrameSequence, InputSequence};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior, interval_at};
@@ -170,11 +170,8 @@ fn status_of(
     fps: f64,
     mbit_per_s: f64,
 ) -> Status {
-    let cell = stats
-        .viewers
-        .iter()
-        .find(|known| known.id == viewer.id())
-        .map(|known| known.cell);
+    let known = stats.viewers.iter().find(|known| known.id == viewer.id());
+    let cell = known.map(|known| known.cell);
     let figures = cell.and_then(|id| stats.cells.iter().find(|cell| cell.id == id));
     Status {
         cell,
@@ -190,5 +187,12 @@ fn status_of(
         sky_converged: figures.is_some_and(|cell| cell.converged),
         cache_error_p50_percent: stats.audit.p50_percent,
         cache_error_p95_percent: stats.audit.p95_percent,
+        quality: known.map(|known| PickedQuality {
+            name: known.quality.picked.to_owned(),
+            flip: known.quality.flip,
+            measured: known.quality.measured,
+            is_met: known.quality.is_met,
+            device_ms: known.quality.device_ms_per_frame,
+        }),
     }
 }

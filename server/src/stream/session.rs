@@ -59,6 +59,7 @@ async fn serve(
         jpeg_quality: hello.jpeg_quality.get(),
         camera: hello.camera,
         renderer: hello.renderer,
+        quality: hello.quality,
     };
     let viewer = match context.viewers.join(view) {
         Ok(viewer) => viewer,

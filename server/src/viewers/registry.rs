@@ -129,6 +129,7 @@ mod tests {
             jpeg_quality: 85,
             camera: Camera::default(),
             renderer: RendererKind::Cached,
+            quality: None,
         }
     }
 

@@ -111,11 +111,17 @@ impl Weather {
         height_fraction: f64,
     ) -> f64 {
         let (u, v) = (place.x_m / self.map_span_m, place.z_m / self.map_span_m);
-        let coverage = self.coverage_from_map(maps.coverage.repeated(u, v));
+        let taps = maps.coverage.taps(u, v);
+        let coverage = self.coverage_from_map(maps.coverage.at(taps));
         if coverage == 0.0 {
             return 0.0;
         }
-        let cloud_type = self.type_from_map(maps.cloud_type.repeated(u, v));
+        let map_value = if maps.cloud_type.is_sized_as(&maps.coverage) {
+            maps.cloud_type.at(taps)
+        } else {
+            maps.cloud_type.repeated(u, v)
+        };
+        let cloud_type = self.type_from_map(map_value);
         coverage * noise.profile.clamped(height_fraction, cloud_type)
     }
 

@@ -287,7 +287,9 @@ impl<'a> LayerMarch<'a> {
         let (mut ambient, mut weighted_distance_m, mut evaluations) = (0.0, 0.0, 0);
         each_span(self.world, self.place, ray, f64::INFINITY, |span| {
             if exact && transmittance < dark {
-                optical_depth += extinction * span.length_m();
+                let depth = extinction * span.length_m();
+                optical_depth += depth;
+                transmittance *= (-depth).exp();
                 evaluations += 1;
                 return true;
             }
@@ -299,7 +301,9 @@ impl<'a> LayerMarch<'a> {
                 let block = u64::from(shared).min(count - next);
                 if transmittance < dark {
                     if exact {
-                        optical_depth += extinction * step_m * (count - next) as f64;
+                        let depth = extinction * step_m * (count - next) as f64;
+                        optical_depth += depth;
+                        transmittance *= (-depth).exp();
                         break;
                     }
                     // Nothing is lit here any more: the whole block by its middle.

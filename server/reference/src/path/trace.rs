@@ -35,9 +35,6 @@ pub struct PathSettings {
     pub orders: Orders,
     /// How the sun is looked for.
     pub sun: SunShape,
-    /// Share of directions, 0 to 0.9, that are taken about the sun instead of about the path: less noise from narrow
-    /// forward peaks, the same mean.
-    pub towards_sun: f64,
     /// A path whose weight has fallen below this goes on by chance, with its weight restored.
     pub roulette_below: f64,
     /// Safety limit of scatterings of a path. Paths that it cuts are counted.
@@ -49,7 +46,6 @@ impl Default for PathSettings {
         Self {
             orders: Orders::All,
             sun: SunShape::Disc,
-            towards_sun: 0.0,
             roulette_below: 0.1,
             scatterings_max: 1_000_000,
         }
@@ -60,12 +56,6 @@ impl PathSettings {
     /// # Errors
     /// Names the setting that is out of range.
     pub fn check(&self) -> Result<(), ReferenceError> {
-        checked(
-            "the share of directions towards the sun",
-            self.towards_sun,
-            0.0..=0.9,
-            "0 to 0.9",
-        )?;
         checked(
             "the weight below which paths play roulette",
             self.roulette_below,
@@ -223,16 +213,8 @@ fn scattered(
             weight = settings.roulette_below;
         }
         // Onwards.
-        let guided = settings.towards_sun > 0.0 && random.unit() < settings.towards_sun;
-        let about = if guided { light.sun_direction } else { towards };
         let x = phase.sample(|| random.unit());
-        let next = turned(about, x, TAU * random.unit());
-        if settings.towards_sun > 0.0 {
-            let own = phase.per_sr(1.0, one_minus_mu(towards, next));
-            let sun = phase.per_sr(1.0, one_minus_mu(light.sun_direction, next));
-            weight *= own / ((1.0 - settings.towards_sun) * own + settings.towards_sun * sun);
-        }
-        towards = next;
+        towards = turned(towards, x, TAU * random.unit());
         let onwards = Ray {
             origin_m: at.position_m,
             direction: towards,

@@ -42,7 +42,7 @@ fn whole(phase: &Phase, f: impl Fn(f64) -> f64 + Copy) -> f64 {
         g_draine: -phase.g_draine,
         ..*phase
     };
-    integral(phase, 1e-12, 1.0, f) + integral(&flipped, 1e-12, 1.0, |x| f(2.0 - x))
+    integral(phase, 1e-15, 1.0, f) + integral(&flipped, 1e-15, 1.0, |x| f(2.0 - x))
 }
 
 #[test]

@@ -43,7 +43,7 @@ fn cases() -> Vec<(f64, f64, f64, bool)> {
         for mu0 in [1.0, 0.6, 0.15] {
             for mu in [1.0, 0.35] {
                 cases.push((tau, mu0, mu, true));
-                if tau < 20.0 {
+                if tau < 5.0 {
                     cases.push((tau, mu0, mu, false));
                 }
             }
@@ -59,13 +59,15 @@ fn the_converged_march_has_the_slabs_single_scattering() {
         let ray = view(mu, 70.0, from_above);
         let x = one_minus_mu(ray.direction, world.light().sun_direction);
         let expected = formula(tau, 0.9, hg_per_sr(0.3, x), mu0, mu, from_above);
-        let marched =
-            converged_ray(&world, &ray, None, 1e-5, &ConvergeLimit::default()).expect("ok");
+        let limit = ConvergeLimit {
+            levels: 16,
+            ..ConvergeLimit::default()
+        };
+        let marched = converged_ray(&world, &ray, None, 1e-6, &limit).expect("ok");
         assert!(marched.converged, "{tau} {mu0} {mu}: {marched:?}");
         // The march averages the phase over the sun's disc, which moves it by less than 1e-4 here.
         let name = format!("tau {tau} mu0 {mu0} mu {mu} above {from_above}");
         assert_close(&name, marched.result.single_scattered.x, expected, 2e-4);
-        assert_close(&name, marched.result.radiance.x, expected, 2e-4);
     }
 }
 
@@ -78,7 +80,8 @@ fn paths_of_one_scattering_have_the_slabs_single_scattering() {
     };
     let (mut compared, mut beyond_two) = (0, 0);
     for (index, (tau, mu0, mu, from_above)) in cases().into_iter().enumerate() {
-        if tau < 0.1 {
+        // Nearly all that is seen from below a thick slab comes from its top, which hardly any path reaches.
+        if tau < 0.1 || (tau > 1.0 && !from_above) {
             continue;
         }
         let world = slab_world(tau, 0.9, 0.3, mu0);
@@ -92,7 +95,6 @@ fn paths_of_one_scattering_have_the_slabs_single_scattering() {
             off < 3.5,
             "{tau} {mu0} {mu} {from_above}: {off} standard errors"
         );
-        assert_eq!(moments.radiance[0].mean, mean.mean);
         compared += 1;
         beyond_two += u32::from(off > 2.0);
     }
@@ -129,15 +131,15 @@ fn the_renderers_steps_come_closer_to_the_converged_march_the_more_they_are() {
     let error = |steps: u32| {
         let steps = MarchSteps {
             steps,
-            sun_steps: Some(512),
+            sun_steps: Some(4096),
             early_exit: false,
             ..MarchSteps::default()
         };
         (march_ray(&world, &ray, &steps).radiance.x / truth - 1.0).abs()
     };
-    let errors = [error(8), error(64), error(512)];
+    let errors = [error(64), error(512), error(4096)];
     assert!(errors[0] > errors[1] && errors[1] > errors[2], "{errors:?}");
-    assert!(errors[2] < 2e-3, "{errors:?}");
+    assert!(errors[2] < 1e-4, "{errors:?}");
 }
 
 #[test]

@@ -1,0 +1,370 @@
+//! Which quality each viewer, each cell and the scene have: what is asked for, what is picked, what it costs.
+
+use super::cells_on_device::ActiveCell;
+use super::interface::{AskedBy, QualityStats, ViewRequest};
+use super::renderer::SkyRenderer;
+use super::viewers_on_device::ActiveViewer;
+use crate::config::RenderConfig;
+use crate::gpu::TimedPass;
+use crate::march::MarchSettings;
+use crate::quality::{
+    BudgetGovernor, FrameCost, Pick, QualityOverrides, QualitySettings, QualityTable,
+};
+use skycell_protocol::{CellId, QualityChoice, QualityPreset, RendererKind, ViewerId};
+use std::time::{Duration, Instant};
+
+/// How often measured costs are compared with budgets.
+const BUDGET_INTERVAL: Duration = Duration::from_millis(500);
+/// In how many seconds what a viewer sees is marched anew once, while it looks around or the wind blows: a turn of 10° a
+/// second brings a new view in about as long. Spreads the march of a view over its frames.
+const RENEWAL_S: f64 = 8.0;
+/// Share of a new measurement in the mean.
+const NEW_SHARE: f64 = 0.3;
+
+/// Device times of a unit of work, smoothed.
+#[derive(Debug, Default)]
+struct UnitTime {
+    seen: (u64, u64),
+    ms: Option<f64>,
+}
+
+impl UnitTime {
+    /// Takes sums of nanoseconds and units; true when units were added since.
+    fn measure(&mut self, total: (u64, u64)) -> bool {
+        let (ns, units) = (
+            total.0.saturating_sub(self.seen.0),
+            total.1.saturating_sub(self.seen.1),
+        );
+        self.seen = total;
+        if units == 0 {
+            return false;
+        }
+        let measured = ns as f64 * 1e-6 / units as f64;
+        let ms = self.ms.get_or_insert(measured);
+        *ms += NEW_SHARE * (measured - *ms);
+        true
+    }
+}
+
+/// What decides about qualities.
+#[derive(Debug)]
+pub(super) struct Qualities {
+    pub(super) table: QualityTable,
+    overrides: QualityOverrides,
+    default: QualityChoice,
+    /// Viewers and scenes may choose; single pictures have their own settings.
+    are_chosen: bool,
+    composite: UnitTime,
+    tile: UnitTime,
+    due: Instant,
+}
+
+/// The quality of one viewer.
+#[derive(Clone, Debug)]
+pub(super) struct ViewerQuality {
+    asked: QualityChoice,
+    asked_by: AskedBy,
+    pick: Pick,
+    governor: Option<BudgetGovernor>,
+    /// The point's, with what the configuration fixes.
+    pub(super) settings: QualitySettings,
+    device_ms: Option<f64>,
+}
+
+impl Qualities {
+    pub(super) fn new(config: &RenderConfig, is_software: bool) -> Self {
+        let preset = if is_software {
+            QualityPreset::Balanced
+        } else {
+            QualityPreset::High
+        };
+        Self {
+            table: QualityTable::embedded(),
+            overrides: QualityOverrides {
+                march_steps: config.march_steps,
+                samples: config.samples,
+                mip_bias: config.mip_bias.map(f64::from),
+                frame_filter: config.frame_filter,
+            },
+            default: config.quality.unwrap_or(QualityChoice::Preset(preset)),
+            are_chosen: false,
+            composite: UnitTime::default(),
+            tile: UnitTime::default(),
+            due: Instant::now(),
+        }
+    }
+
+    /// The point to begin with, and the governor of a budget.
+    fn pick(&self, choice: QualityChoice) -> (Pick, Option<BudgetGovernor>) {
+        match choice {
+            QualityChoice::Preset(preset) => (self.table.pick_preset(preset), None),
+            QualityChoice::MaxError(flip) => (self.table.pick_error(flip), None),
+            QualityChoice::BudgetMs(_) => {
+                // Until it is measured, in the middle.
+                let pick = Pick {
+                    is_met: false,
+                    ..self.table.pick_preset(QualityPreset::Balanced)
+                };
+                (pick, Some(BudgetGovernor::new(pick.point)))
+            }
+        }
+    }
+
+    fn settings(&self, pick: Pick) -> QualitySettings {
+        self.overrides.over(self.table.point(pick.point).settings)
+    }
+
+    /// What viewers get when nobody asks for anything.
+    pub(super) fn default_settings(&self) -> QualitySettings {
+        self.settings(self.pick(self.default).0)
+    }
+
+    fn stats(&self, quality: &ViewerQuality) -> QualityStats {
+        let point = self.table.point(quality.pick.point);
+        QualityStats {
+            asked: Some(quality.asked),
+            asked_by: quality.asked_by,
+            picked: point.name(),
+            flip: point.error.flip,
+            // Of other settings than the point's it tells nothing.
+            measured: point.measured && quality.settings == point.settings,
+            settings: quality.settings,
+            is_met: quality.pick.is_met,
+            device_ms_per_frame: quality.device_ms,
+        }
+    }
+}
+
+impl SkyRenderer {
+    /// Lets viewers and scenes choose, and makes what the points of the table need.
+    ///
+    /// # Errors
+    /// When a pipeline cannot be made.
+    pub(super) fn let_qualities_be_chosen(&mut self) -> Result<(), crate::gpu::GpuError> {
+        self.qualities.are_chosen = true;
+        let (scene, revision) = (self.scene.clone(), self.scene_revision);
+        self.set_scene(scene, revision)
+    }
+
+    /// Settings of marches that pipelines must be there for.
+    pub(super) fn possible_settings(&self, scene_octaves: u32) -> Vec<MarchSettings> {
+        let mut possible = vec![self.settings];
+        if self.qualities.are_chosen {
+            possible.extend(self.qualities.table.points().iter().map(|point| {
+                let octaves = point.settings.octaves.map(|o| o.min(scene_octaves));
+                MarchSettings {
+                    octaves,
+                    ..self.settings
+                }
+            }));
+        }
+        possible
+    }
+
+    /// What single pictures are made with.
+    fn own_settings(&self) -> QualitySettings {
+        QualitySettings {
+            march_steps: self.settings.steps,
+            sun_steps: self.settings.sun_steps,
+            octaves: self.settings.octaves,
+            samples: self.caches.samples(),
+            mip_bias: self.mip_bias,
+            frame_filter: self.frame_filter,
+        }
+    }
+
+    /// The choice that holds where a viewer makes none.
+    fn scene_choice(&self) -> (QualityChoice, AskedBy) {
+        match self.scene.quality() {
+            Some(choice) => (choice, AskedBy::Scene),
+            None => (self.qualities.default, AskedBy::Server),
+        }
+    }
+
+    fn within_scene(&self, settings: QualitySettings) -> QualitySettings {
+        let most = self.scene.light().octaves();
+        QualitySettings {
+            octaves: settings.octaves.filter(|octaves| *octaves < most),
+            ..settings
+        }
+    }
+
+    /// The quality of a view. What is asked for as before keeps what a budget has found out.
+    pub(super) fn quality_of(
+        &self,
+        view: &ViewRequest,
+        old: Option<&ViewerQuality>,
+    ) -> ViewerQuality {
+        let (asked, asked_by) = match view.quality {
+            Some(choice) => (choice, AskedBy::Viewer),
+            None => self.scene_choice(),
+        };
+        let (pick, governor) = match old {
+            Some(old) if old.asked == asked => (old.pick, old.governor.clone()),
+            _ => self.qualities.pick(asked),
+        };
+        let settings = if self.qualities.are_chosen {
+            self.within_scene(self.qualities.settings(pick))
+        } else {
+            self.own_settings()
+        };
+        ViewerQuality {
+            asked,
+            asked_by,
+            pick,
+            governor,
+            settings,
+            device_ms: old.and_then(|old| old.device_ms),
+        }
+    }
+
+    /// Looks up what a viewer's quality is now; its requests are made anew where it has changed.
+    pub(super) fn refresh_quality(&mut self, id: ViewerId) {
+        let Some(viewer) = self.viewers.get(&id) else {
+            return;
+        };
+        let quality = self.quality_of(&viewer.view, Some(&viewer.quality));
+        let cell = viewer.cell;
+        if let Some(viewer) = self.viewers.get_mut(&id) {
+            if viewer.quality.settings != quality.settings {
+                viewer.requests.clear();
+            }
+            viewer.quality = quality;
+        }
+        self.change_requests(cell);
+    }
+
+    /// Gives a cell the finest march that its viewers and the scene ask for. A finer one ages what was marched; what is
+    /// finer than asked for stays, so that a pick that gives way under load does not add to it.
+    pub(super) fn refresh_cell_settings(&mut self, id: CellId, cell: &mut ActiveCell) {
+        let light = self.scene.light();
+        let (sun_steps, octaves) = (light.sun_steps(), light.octaves());
+        let wished = match self.scene.quality() {
+            // A budget is a limit and no least quality.
+            Some(QualityChoice::BudgetMs(_)) | None => None,
+            Some(_) if !self.qualities.are_chosen => None,
+            Some(choice) => {
+                Some(self.within_scene(self.qualities.settings(self.qualities.pick(choice).0)))
+            }
+        };
+        let members = self.viewers.values().filter(|viewer| viewer.cell == id);
+        let finest = wished
+            .into_iter()
+            .chain(members.map(|viewer| viewer.quality.settings))
+            .reduce(|a, b| a.finest_march(&b, sun_steps, octaves));
+        let Some(finest) = finest else {
+            return;
+        };
+        let settings = MarchSettings {
+            steps: finest.march_steps,
+            sun_steps: finest.sun_steps,
+            octaves: finest.octaves,
+            ..self.settings
+        };
+        let before = cell.settings;
+        let is_finer = settings.steps > before.steps
+            || settings.sun_steps.unwrap_or(sun_steps) > before.sun_steps.unwrap_or(sun_steps)
+            || settings.octaves.unwrap_or(octaves) > before.octaves.unwrap_or(octaves);
+        if is_finer {
+            self.caches.age_cell(id);
+        }
+        cell.settings = settings;
+        cell.samples = finest.samples;
+    }
+
+    /// Measures what frames cost and lets budgets pick, every half a second.
+    pub(super) fn consider_budgets(&mut self, now: Instant) {
+        if now < self.qualities.due {
+            return;
+        }
+        self.qualities.due = now + BUDGET_INTERVAL;
+        let composites = self.gpu_time(TimedPass::Composite);
+        let tiles = self.gpu_time(TimedPass::Cache);
+        let are_fresh = self.qualities.composite.measure(composites);
+        self.qualities.tile.measure(tiles);
+        if !are_fresh {
+            return;
+        }
+        let pixels: u64 = self
+            .viewers
+            .values()
+            .map(|viewer| u64::from(viewer.view.size.pixels()))
+            .sum();
+        let pixels_mean = pixels as f64 / self.viewers.len().max(1) as f64;
+        let mut changed = Vec::new();
+        let mut viewers = std::mem::take(&mut self.viewers);
+        for (id, viewer) in &mut viewers {
+            let Some(cost) = self.frame_cost(viewer, pixels_mean) else {
+                continue;
+            };
+            let quality = &mut viewer.quality;
+            quality.device_ms = Some(cost.total_ms());
+            if let (Some(governor), QualityChoice::BudgetMs(budget_ms)) =
+                (&mut quality.governor, quality.asked)
+            {
+                if governor.consider(&self.qualities.table, budget_ms, &cost, now) {
+                    changed.push(*id);
+                }
+                quality.pick = Pick {
+                    point: governor.point(),
+                    is_met: governor.is_met(),
+                };
+            }
+        }
+        self.viewers = viewers;
+        for id in changed {
+            self.refresh_quality(id);
+        }
+    }
+
+    /// What a frame of a viewer costs by the device's own times: its composite, and the march of what it requests spread
+    /// over [`RENEWAL_S`]. None while nothing was measured.
+    fn frame_cost(&self, viewer: &ActiveViewer, pixels_mean: f64) -> Option<FrameCost> {
+        if viewer.kind != RendererKind::Cached {
+            return None;
+        }
+        let composite_ms = self.qualities.composite.ms?;
+        let samples = self.active_cells.get(&viewer.cell)?.samples;
+        let tiles: usize = viewer.requests.iter().map(Vec::len).sum();
+        let view_ms = tiles as f64 * f64::from(samples) * self.qualities.tile.ms.unwrap_or(0.0);
+        Some(FrameCost {
+            composite_ms: composite_ms * f64::from(viewer.view.size.pixels()) / pixels_mean,
+            march_ms: view_ms / (viewer.view.fps * RENEWAL_S),
+        })
+    }
+
+    /// How a cell's rays are marched.
+    pub(super) fn cell_settings(&self, cell: CellId) -> MarchSettings {
+        self.active_cells
+            .get(&cell)
+            .map_or(self.settings, |cell| cell.settings)
+    }
+
+    /// A viewer's quality for people.
+    pub(super) fn viewer_quality_stats(&self, viewer: &ActiveViewer) -> QualityStats {
+        self.qualities.stats(&viewer.quality)
+    }
+
+    /// The quality of viewers who ask for none. Under a budget each has its own; this is the one of the first.
+    pub(super) fn scene_quality_stats(&self) -> QualityStats {
+        let (asked, asked_by) = self.scene_choice();
+        let follower = self
+            .viewers
+            .values()
+            .find(|viewer| viewer.view.quality.is_none());
+        match follower {
+            Some(viewer) => self.qualities.stats(&viewer.quality),
+            None => {
+                let (pick, _) = self.qualities.pick(asked);
+                self.qualities.stats(&ViewerQuality {
+                    asked,
+                    asked_by,
+                    pick,
+                    governor: None,
+                    settings: self.within_scene(self.qualities.settings(pick)),
+                    device_ms: None,
+                })
+            }
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! What `skycell-server measure` is asked for.
+
+use super::metrics::COMPARED_SIDE_MIN;
+use super::plan::{Axis, Extent};
+use super::reference::{ReferenceSource, TruthInputs};
+use crate::render_command::{Folders, read_scene, triple};
+use anyhow::Context;
+use skycell_protocol::{Camera, FrameSize, Scene};
+use std::path::PathBuf;
+
+/// What to measure.
+#[derive(Clone, Debug, clap::Args)]
+pub struct MeasureArguments {
+    /// Which measurement.
+    #[command(subcommand)]
+    pub what: Measurement,
+}
+
+/// Measurements.
+#[derive(Clone, Debug, clap::Subcommand)]
+pub enum Measurement {
+    /// What each setting costs in time and in error: results.json, results.csv and report.html in the folder of --out.
+    ///
+    /// A run that was stopped goes on where it was when it is started again.
+    #[command(
+        after_help = "Example: skycell-server measure trade --quick --out trade && xdg-open trade/report.html"
+    )]
+    Trade(Box<TradeArguments>),
+}
+
+/// What `measure trade` is asked for.
+#[derive(Clone, Debug, clap::Args)]
+pub struct TradeArguments {
+    /// Folder of the results; what is there already is not measured again.
+    #[arg(long, default_value = "skycell-trade", value_name = "DIR")]
+    pub out: PathBuf,
+    /// Scene document; the default scene without it.
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<PathBuf>,
+    /// Size of the picture [default: 128x72 with --quick, else 640x360].
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = parsed_size)]
+    pub size: Option<FrameSize>,
+    /// Few points and a small picture: a minute on two cores.
+    #[arg(long, conflicts_with = "full")]
+    pub quick: bool,
+    /// Fine sweeps, and the front until nothing changes: hours on a software driver.
+    #[arg(long)]
+    pub full: bool,
+    /// Only these sweeps; all without.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "AXIS,...")]
+    pub only: Vec<Axis>,
+    /// Eye: x (east), altitude, z (south), metres.
+    #[arg(long, value_delimiter = ',', num_args = 1, value_name = "X,Y,Z", default_values_t = [0.0, 2.0, 0.0], allow_negative_numbers = true)]
+    pub position_m: Vec<f64>,
+    /// Where the middle of the picture looks, clockwise from north.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    pub yaw_deg: f64,
+    /// And above the horizon.
+    #[arg(long, default_value_t = 15.0, allow_negative_numbers = true)]
+    pub pitch_deg: f64,
+    /// Vertical field of view.
+    #[arg(long, default_value_t = 60.0)]
+    pub fov_deg: f64,
+    /// Seconds for which the wind has blown.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    pub time_s: f64,
+    /// Folder in which noise is kept.
+    #[arg(long, env = "SKYCELL_CACHE_DIR")]
+    pub noise_cache_dir: Option<PathBuf>,
+    /// What pictures are measured against.
+    #[arg(long, value_enum, default_value_t = ReferenceKind::ScreenSpace)]
+    pub reference: ReferenceKind,
+    /// Rays across and down a pixel of the converged reference, 1 to 16.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=16))]
+    pub reference_grid: u32,
+    /// Relative change that counts as none when the converged reference halves its steps.
+    #[arg(long, default_value_t = 1e-3)]
+    pub tolerance: f64,
+    /// Also measure against the path tracer, with so many paths a pixel: for small pictures.
+    #[arg(long, value_name = "PATHS", value_parser = clap::value_parser!(u64).range(16..=1_000_000))]
+    pub path_traced: Option<u64>,
+    /// Measure everything anew, whatever is in the folder.
+    #[arg(long)]
+    pub fresh: bool,
+    /// Write the quality points that a server picks from here.
+    #[arg(long, value_name = "FILE")]
+    pub write_quality: Option<PathBuf>,
+    /// Print the summary as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What pictures are measured against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum ReferenceKind {
+    /// The screen-space renderer, finer than all that is swept.
+    ScreenSpace,
+    /// The same model on the processor in f64, steps halved until nothing changes: hours for a large picture.
+    Converged,
+}
+
+fn parsed_size(text: &str) -> Result<FrameSize, String> {
+    let allowed = "allowed: WIDTHxHEIGHT such as 640x360, from 11x11 to 3840x2160";
+    let numbers = text
+        .split_once('x')
+        .and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    let size = numbers.and_then(|(w, h)| FrameSize::new(w, h).ok());
+    size.filter(|s| s.width().min(s.height()) >= COMPARED_SIDE_MIN)
+        .ok_or_else(|| allowed.to_owned())
+}
+
+impl TradeArguments {
+    /// How much is measured.
+    #[must_use]
+    pub fn extent(&self) -> Extent {
+        match (self.quick, self.full) {
+            (true, _) => Extent::Quick,
+            (_, true) => Extent::Full,
+            _ => Extent::Default,
+        }
+    }
+
+    /// Of the shown picture.
+    ///
+    /// # Errors
+    /// Never: the sizes that are not the user's are allowed ones.
+    pub fn picture_size(&self) -> anyhow::Result<FrameSize> {
+        match self.size {
+            Some(size) => Ok(size),
+            None if self.quick => Ok(FrameSize::new(128, 72)?),
+            None => Ok(FrameSize::new(640, 360)?),
+        }
+    }
+
+    /// Where the eye is.
+    ///
+    /// # Errors
+    /// Names the number that is not allowed.
+    pub fn camera(&self) -> anyhow::Result<Camera> {
+        Camera::new(
+            triple(&self.position_m)?,
+            self.yaw_deg,
+            self.pitch_deg,
+            self.fov_deg,
+        )
+        .context("the camera (--position-m, --yaw-deg, --pitch-deg, --fov-deg)")
+    }
+
+    /// The scene.
+    ///
+    /// # Errors
+    /// When its file cannot be read or holds no scene.
+    pub fn read_scene(&self) -> anyhow::Result<Scene> {
+        read_scene(self.scene.as_deref())
+    }
+
+    /// What the f64 renderers need; where data lie.
+    #[must_use]
+    pub fn truth_inputs(&self, scene: &Scene) -> TruthInputs {
+        let folders = Folders::of(self.scene.as_deref(), self.noise_cache_dir.as_ref());
+        TruthInputs {
+            scene: scene.clone(),
+            noise_dir: folders.noise,
+            grids_dir: folders.grids,
+            time_s: self.time_s,
+        }
+    }
+
+    /// What pictures are measured against.
+    #[must_use]
+    pub fn reference_source(&self, camera: &Camera) -> ReferenceSource {
+        match self.reference {
+            ReferenceKind::ScreenSpace => {
+                ReferenceSource::screen_space(camera, self.extent().reference_fineness())
+            }
+            ReferenceKind::Converged => ReferenceSource::Converged {
+                grid: self.reference_grid,
+                tolerance: self.tolerance,
+            },
+        }
+    }
+
+    /// The sweeps, in the report's order.
+    #[must_use]
+    pub fn axes(&self) -> Vec<Axis> {
+        let asked = |axis: &Axis| self.only.is_empty() || self.only.contains(axis);
+        Axis::ALL.into_iter().filter(asked).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Debug, Parser)]
+    struct Cli {
+        #[command(flatten)]
+        measure: MeasureArguments,
+    }
+
+    fn parsed(arguments: &[&str]) -> Result<TradeArguments, String> {
+        let all = ["measure", "trade"].iter().chain(arguments);
+        let cli = Cli::try_parse_from(all).map_err(|error| error.to_string())?;
+        let Measurement::Trade(trade) = cli.measure.what;
+        Ok(*trade)
+    }
+
+    #[test]
+    fn wrong_values_are_refused_with_field_value_and_what_is_allowed() {
+        for (arguments, said) in [
+            (
+                ["--only", "steps,colour"],
+                ["--only", "colour", "sun-steps"],
+            ),
+            (["--size", "10x400"], ["--size", "10x400", "11x11"]),
+            (["--size", "big"], ["--size", "big", "WIDTHxHEIGHT"]),
+        ] {
+            let refused = parsed(&arguments).expect_err("refused");
+            assert!(said.iter().all(|word| refused.contains(word)), "{refused}");
+        }
+        let camera = parsed(&["--fov-deg", "180"])
+            .expect("parsed")
+            .camera()
+            .expect_err("refused");
+        assert!(format!("{camera:#}").contains("180"), "{camera:#}");
+    }
+
+    #[test]
+    fn axes_keep_the_order_of_the_report() {
+        let trade = parsed(&["--only", "codec,steps"]).expect("parsed");
+        assert_eq!(trade.axes(), [Axis::Steps, Axis::Codec]);
+        assert_eq!(parsed(&[]).expect("parsed").axes(), Axis::ALL);
+    }
+}

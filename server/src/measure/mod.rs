@@ -1,0 +1,29 @@
+//! `skycell-server measure`: what each setting costs in time and in error.
+//!
+//! `plan` says which points, `settings` what a point is, `reference` what they are compared with; `sweep` renders and
+//! compares them by `metrics`, `store` keeps them; `front` finds what nothing beats; `report` and `quality` write it down.
+
+mod arguments;
+pub mod front;
+pub mod metrics;
+pub mod plan;
+pub mod progress;
+pub mod quality;
+pub mod reference;
+pub mod report;
+pub mod settings;
+pub mod store;
+pub mod sweep;
+mod trade;
+
+pub use arguments::{MeasureArguments, Measurement, ReferenceKind, TradeArguments};
+
+/// Measures.
+///
+/// # Errors
+/// For a folder that cannot be written, an unreadable scene, an impossible camera, a missing device.
+pub fn run(arguments: &MeasureArguments) -> anyhow::Result<()> {
+    match &arguments.what {
+        Measurement::Trade(trade) => trade::run(trade),
+    }
+}

@@ -1,0 +1,95 @@
+//! The file of quality points that a server picks from: `quality.json`.
+
+use super::front::Preset;
+use super::report::{Report, ReportPoint};
+use super::settings::PointSettings;
+use serde_json::{Value, json};
+use skycell_protocol::Scene;
+
+/// The points of the quality front, a preset's point once for each preset that it is; with numbers for what the scene
+/// leaves open.
+#[must_use]
+pub fn quality_file(report: &Report, scene: &Scene) -> Value {
+    let best_cost = report
+        .quality_front
+        .last()
+        .and_then(|i| report.points[*i].frame_cost);
+    let points: Vec<Value> = report
+        .quality_front
+        .iter()
+        .flat_map(|i| {
+            let presets: Vec<Option<Preset>> = report
+                .presets
+                .iter()
+                .filter(|choice| choice.point == Some(*i))
+                .map(|choice| Some(choice.preset))
+                .collect();
+            let presets = if presets.is_empty() {
+                vec![None]
+            } else {
+                presets
+            };
+            presets
+                .into_iter()
+                .map(|preset| quality_point(&report.points[*i], preset, scene, best_cost))
+                .collect::<Vec<_>>()
+        })
+        .collect();
+    let size = report.run.size;
+    json!({
+        "version": 1,
+        "measured_with": format!(
+            "{}, {}x{}, {}, against {}",
+            report.run.adapter,
+            size.width(),
+            size.height(),
+            if *scene == Scene::default() { "default scene" } else { "a scene of its own" },
+            report.run.reference,
+        ),
+        "points": points,
+    })
+}
+
+fn quality_point(
+    point: &ReportPoint,
+    preset: Option<Preset>,
+    scene: &Scene,
+    best_cost: Option<f64>,
+) -> Value {
+    let PointSettings {
+        steps,
+        sun_steps,
+        octaves,
+        samples,
+        mip_bias,
+        filter,
+        ..
+    } = point.settings;
+    let measurement = point.measurement;
+    let cost = measurement.cost;
+    let reads_per_ray = cost
+        .texture_reads
+        .filter(|_| cost.marches > 0)
+        .map(|reads| reads as f64 / cost.marches as f64);
+    let relative = point
+        .frame_cost
+        .zip(best_cost)
+        .map(|(cost, best)| cost / best);
+    json!({
+        "preset": preset,
+        "settings": {
+            "march_steps": steps,
+            "sun_steps": sun_steps.unwrap_or(scene.light().sun_steps()),
+            "octaves": octaves.unwrap_or(scene.light().octaves()),
+            "samples": samples,
+            "mip_bias": mip_bias,
+            "frame_filter": filter,
+        },
+        "error": {
+            "flip": measurement.shown.flip,
+            "ssim": measurement.shown.ssim,
+            "relative_mse": measurement.linear.map(|l| l.relative_mse),
+        },
+        "cost": { "texture_reads_per_ray": reads_per_ray, "relative": relative },
+    })
+}

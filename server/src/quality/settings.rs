@@ -1,0 +1,106 @@
+//! What a quality sets.
+
+use crate::config::FrameFilter;
+use serde::{Deserialize, Serialize};
+
+/// Settings that trade speed for accuracy. The march's belong to a view cell, since its viewers share what is marched;
+/// mip bias and filter are a viewer's own.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct QualitySettings {
+    /// Steps through a layer's thickness, 1 to 4096.
+    pub march_steps: u32,
+    /// Samples towards the sun, 1 to 64; without: the scene's.
+    #[serde(default)]
+    pub sun_steps: Option<u32>,
+    /// Terms of the multiple-scattering sum, 1 to 16; without, and at most: the scene's.
+    #[serde(default)]
+    pub octaves: Option<u32>,
+    /// Jittered samples that a texel averages, 1 to 16.
+    pub samples: u32,
+    /// Halvings of the cache's resolution below the screen's, 0 to 4.
+    pub mip_bias: f64,
+    /// How frames read the cache.
+    pub frame_filter: FrameFilter,
+}
+
+impl Default for QualitySettings {
+    fn default() -> Self {
+        Self {
+            march_steps: 128,
+            sun_steps: None,
+            octaves: None,
+            samples: 8,
+            mip_bias: 0.0,
+            frame_filter: FrameFilter::CatmullRom,
+        }
+    }
+}
+
+impl QualitySettings {
+    /// The march of both that is finer in each respect; without, sun steps and octaves count as the scene's. What only
+    /// frames need stays.
+    #[must_use]
+    pub fn finest_march(self, other: &Self, scene_sun_steps: u32, scene_octaves: u32) -> Self {
+        let more = |a: Option<u32>, b: Option<u32>, scene: u32| {
+            let most = a.unwrap_or(scene).max(b.unwrap_or(scene));
+            (most != scene).then_some(most)
+        };
+        Self {
+            march_steps: self.march_steps.max(other.march_steps),
+            sun_steps: more(self.sun_steps, other.sun_steps, scene_sun_steps),
+            octaves: more(self.octaves, other.octaves, scene_octaves),
+            samples: self.samples.max(other.samples),
+            ..self
+        }
+    }
+}
+
+/// Settings that the server's configuration fixes whatever anybody asks for.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct QualityOverrides {
+    /// `render.march_steps`
+    pub march_steps: Option<u32>,
+    /// `render.samples`
+    pub samples: Option<u32>,
+    /// `render.mip_bias`
+    pub mip_bias: Option<f64>,
+    /// `render.frame_filter`
+    pub frame_filter: Option<FrameFilter>,
+}
+
+impl QualityOverrides {
+    /// Settings with what is fixed.
+    #[must_use]
+    pub fn over(&self, settings: QualitySettings) -> QualitySettings {
+        QualitySettings {
+            march_steps: self.march_steps.unwrap_or(settings.march_steps),
+            samples: self.samples.unwrap_or(settings.samples),
+            mip_bias: self.mip_bias.unwrap_or(settings.mip_bias),
+            frame_filter: self.frame_filter.unwrap_or(settings.frame_filter),
+            ..settings
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_finest_march_is_no_coarser_than_either_and_frames_stay_as_they_are() {
+        let draft = QualitySettings {
+            march_steps: 32,
+            sun_steps: Some(3),
+            samples: 16,
+            mip_bias: 2.0,
+            ..QualitySettings::default()
+        };
+        let fine = QualitySettings::default();
+        let both = draft.finest_march(&fine, 6, 4);
+        assert_eq!((both.march_steps, both.samples), (128, 16));
+        assert_eq!((both.sun_steps, both.mip_bias), (None, 2.0));
+        let alone = draft.finest_march(&draft, 6, 4);
+        assert_eq!(alone, draft);
+    }
+}
