@@ -95,11 +95,10 @@ fn gpu_picture(
         .collect()
 }
 
-/// The mean of rays at places within each pixel.
+/// The ray through the middle of each pixel.
 fn reference_picture(
     subject: &Subject,
     size: FrameSize,
-    places: &[[f64; 2]],
     trace: impl Fn(&skycell_reference::Ray) -> DVec3 + Sync,
 ) -> Vec<[f64; 3]> {
     let projection = Projection::Pinhole {
@@ -120,16 +119,13 @@ fn reference_picture(
                     if index >= count {
                         break;
                     }
-                    let corner = glam::dvec2(f64::from(index % width), f64::from(index / width));
-                    let sum: DVec3 = places
-                        .iter()
-                        .filter_map(|place| {
-                            projection.ray(&subject.world, corner + glam::DVec2::from_array(*place))
-                        })
-                        .map(|ray| trace(&ray))
-                        .sum();
-                    let mean = (sum / places.len() as f64).to_array();
-                    rows.lock().expect("no thread panics")[index as usize] = mean;
+                    let [column, row] = [index % width, index / width].map(f64::from);
+                    let middle = glam::dvec2(column + 0.5, row + 0.5);
+                    let Some(ray) = projection.ray(&subject.world, middle) else {
+                        continue;
+                    };
+                    let radiance = trace(&ray).to_array();
+                    rows.lock().expect("no thread panics")[index as usize] = radiance;
                 }
             });
         }
@@ -149,6 +145,7 @@ fn relative_l2(a: &[[f64; 3]], b: &[[f64; 3]], brightest: f64) -> f64 {
 }
 
 const L2_MAX: f64 = 1e-3;
+const FLIP_MAX: f64 = 0.01;
 /// Sunlit clouds stay below 1 W/(m² nm sr), the sun's disc is far above it.
 const BRIGHT: f64 = 1.0;
 const STEPS: u32 = 96;
@@ -175,7 +172,7 @@ fn at_the_same_steps_the_picture_is_the_references_to_a_thousandth() {
             steps: STEPS,
             ..MarchSteps::default()
         };
-        let truth = reference_picture(&subject, size, &[[0.5; 2]], |ray| {
+        let truth = reference_picture(&subject, size, |ray| {
             march_ray(&subject.world, ray, &steps).radiance
         });
         let l2 = relative_l2(&gpu, &truth, f64::INFINITY);
@@ -196,54 +193,20 @@ fn at_the_same_steps_the_picture_is_the_references_to_a_thousandth() {
             index / 96,
             truth[index][1]
         );
-        if !(l2 <= L2_MAX && without_sun <= L2_MAX) {
+        if l2.max(without_sun).is_nan() || l2.max(without_sun) > L2_MAX {
             missed.push((subject.name, l2));
         }
     }
     assert!(missed.is_empty(), "{missed:?}");
 }
 
-/// Whether some of a pixel's places see the ground and others do not. The renderer lets the middle decide, as it must for
-/// the cache: such pixels are a row of stairs along the horizon, and tell nothing about clouds.
-fn straddles_the_horizon(
-    subject: &Subject,
-    size: FrameSize,
-    index: u32,
-    places: &[[f64; 2]],
-) -> bool {
-    let projection = Projection::Pinhole {
-        camera: subject.camera,
-        size,
-    };
-    let corner = glam::dvec2(
-        f64::from(index % size.width()),
-        f64::from(index / size.width()),
-    );
-    let mut on_ground = places.iter().filter_map(|place| {
-        let ray = projection.ray(&subject.world, corner + glam::DVec2::from_array(*place))?;
-        Some(subject.world.globe().ground_m(&ray).is_some())
-    });
-    let first = on_ground.next();
-    on_ground.any(|next| Some(next) != first)
-}
-
-/// The best quality against the model without steps: both with the same places inside pixels.
+/// Fine steps against the model without steps, along the rays through the middles of pixels: what is left of the error of
+/// marching. (Samples beside the middles are averaged before they are lit by the phase of the middle, and the middle decides
+/// what is ground: in small pictures, whose pixels are degrees wide, that would outweigh all else.)
 #[test]
 #[ignore = "slower suite: deploy/test --full"]
-fn the_best_quality_is_within_a_hundredth_of_flip_of_the_converged_reference() {
-    let size = FrameSize::new(32, 18).expect("a size");
-    // The renderer's first eight places: the usual pattern of eightfold multisampling.
-    let places = [
-        [1.0, -3.0],
-        [-1.0, 3.0],
-        [5.0, 1.0],
-        [-3.0, -5.0],
-        [-5.0, 5.0],
-        [-7.0, -1.0],
-        [3.0, 7.0],
-        [7.0, -7.0],
-    ]
-    .map(|place: [f64; 2]| place.map(|offset| 0.5 + offset / 16.0));
+fn fine_steps_are_within_a_hundredth_of_flip_of_the_converged_reference() {
+    let size = FrameSize::new(64, 36).expect("a size");
     let mut still = renderer();
     let mut missed = Vec::new();
     let only = std::env::var("SCENE").ok();
@@ -252,19 +215,11 @@ fn the_best_quality_is_within_a_hundredth_of_flip_of_the_converged_reference() {
             continue;
         }
         let subject = subject(name, view);
-        let march = MarchSettings {
-            steps: 256,
-            sun_steps: Some(32),
-            exact_interpolation: true,
-            early_exit: false,
-            ..MarchSettings::default()
-        };
-        let gpu = gpu_picture(&mut still, &subject, size, march, 8);
         let limit = ConvergeLimit {
-            levels: 6,
-            evaluations: 200_000,
+            levels: 7,
+            evaluations: 1_000_000,
         };
-        let truth = reference_picture(&subject, size, &places, |ray| {
+        let truth = reference_picture(&subject, size, |ray| {
             converged_ray(&subject.world, ray, None, 3e-3, &limit)
                 .map_or(DVec3::NAN, |found| found.result.radiance)
         });
@@ -273,22 +228,25 @@ fn the_best_quality_is_within_a_hundredth_of_flip_of_the_converged_reference() {
                 [gpu, &truth].map(|picture| shown(size.width(), size.height(), picture));
             distance(&truth, &gpu).expect("of one size").flip
         };
-        let whole = flip(&gpu);
-        let mut straddling = 0;
-        let mut gpu = gpu;
-        for (index, pixel) in (0..).zip(&mut gpu) {
-            if straddles_the_horizon(&subject, size, index, &places) {
-                *pixel = truth[index as usize];
-                straddling += 1;
+        for steps in [64, 256, 1024] {
+            let march = MarchSettings {
+                steps,
+                sun_steps: Some(32),
+                exact_interpolation: true,
+                jitter: false,
+                // What is left behind a transmittance of 0.4 % is half a percent under an overcast sky.
+                early_exit: false,
+                ..MarchSettings::default()
+            };
+            let gpu = gpu_picture(&mut still, &subject, size, march, 1);
+            let apart = flip(&gpu);
+            println!(
+                "{name:<16} {steps:>4} steps: FLIP {apart:.4}, L2 {:.3e}",
+                relative_l2(&gpu, &truth, BRIGHT)
+            );
+            if steps >= 256 && (apart.is_nan() || apart > FLIP_MAX) {
+                missed.push((subject.name, steps, apart));
             }
-        }
-        let clouds = flip(&gpu);
-        println!(
-            "{name:<16} FLIP {whole:.4}; but for {straddling} pixels on the horizon FLIP {clouds:.4}, L2 {:.3e}",
-            relative_l2(&gpu, &truth, BRIGHT)
-        );
-        if clouds.is_nan() || clouds > 0.01 {
-            missed.push((subject.name, clouds));
         }
     }
     assert!(missed.is_empty(), "{missed:?}");

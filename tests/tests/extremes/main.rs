@@ -22,11 +22,10 @@ mod truth;
 use line::Line;
 use stage::{Stage, stage};
 
-/// Runs the cases of a line.
-type RunLine = fn(&mut Stage) -> Line;
+type Run = fn(&mut Stage) -> Line;
 
 /// How many cases each line has.
-const CASES: [(RunLine, usize); 15] = [
+const CASES: [(Run, usize); 15] = [
     (sun::anywhere, 102),
     (sun::along_the_ray, 8),
     (camera::anywhere, 92),

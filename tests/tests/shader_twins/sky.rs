@@ -285,8 +285,11 @@ fn a_cloud_hides_what_is_behind_it_once() {
                 let phase_error = (64.0 + 3.0 / (1.0 - 0.9946)) * U + 3.0 * angle_error / base;
                 // The column's transmittance, as in sky_bound, is subtracted from 1; so is what the air keeps.
                 let share_error = ((4.0 + 80.0 * view[c]) * 2.0 * whole + 8.0) * U / (1.0 - whole);
+                // Compilers may add 1 and 1e-3 before they subtract the transmittance: the distance is then rounded at 1.
+                let way = seen_m * air_extinction_per_m[c] * kept * 2.0 * U / (opacity + 1e-3);
                 let bound = (sunlit * phase_error + lit * 64.0 * U) * kept
                     + air * opacity * (sky_bound(view[c], sun[c]) + share_error)
+                    + way * (lit + air * opacity / (1.0 - whole))
                     + (lit + air) * 64.0 * U
                     + behind[c] * 4.0 * U;
                 ((f64::from(value[0][c]) - exact).abs(), bound)
