@@ -96,7 +96,7 @@ pub struct Features {
     pub density: Density,
     /// Catmull-Rom instead of bilinear reads of the cache.
     pub catmull_rom: bool,
-    /// Linear radiance instead of tone-mapped bytes; nothing is shared between pixels.
+    /// Linear radiance instead of tone-mapped bytes.
     pub linear_output: bool,
     /// Composite of marched pixels instead of cached texels.
     pub screen_space: bool,
@@ -108,6 +108,8 @@ pub struct Features {
     pub ray_list: bool,
     /// Marched pixels are fewer than the picture's (screen-space renderer).
     pub upsample: bool,
+    /// Two by two pixels share what is behind the clouds, evaluated where they meet.
+    pub shared_background: bool,
 }
 
 impl Default for Features {
@@ -123,6 +125,7 @@ impl Default for Features {
             count_reads: false,
             ray_list: false,
             upsample: false,
+            shared_background: false,
         }
     }
 }
@@ -144,6 +147,7 @@ impl Features {
                 screen_space: bits & 4 != 0,
                 ray_list: bits & 12 == 4,
                 upsample: bits & 12 == 12,
+                shared_background: bits & 1 != 0,
             })
         })
     }
@@ -169,6 +173,7 @@ impl Features {
             ("COUNT_READS", self.count_reads),
             ("RAY_LIST", self.ray_list),
             ("UPSAMPLE", self.upsample),
+            ("SHARED_BACKGROUND", self.shared_background),
         ] {
             if set {
                 definitions.insert(name.to_owned(), ShaderDefValue::Bool(true));

@@ -1,11 +1,11 @@
 //! What is submitted to the device: batches of texels, strips of pixels, frames and their way back.
 
 use super::interface::{FinishedFrame, FrameSink};
-use super::renderer::SkyRenderer;
+use super::renderer::{SkyRenderer, frame_key};
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{SphereId, TileUpdate};
 use crate::clock::unix_now_us;
-use crate::composite::{CompositeInputs, Picture, composite_key};
+use crate::composite::{CompositeInputs, Picture};
 use crate::gpu::{GpuError, PipelineKey, TimedPass};
 use crate::march::{
     ActiveLayer, BATCH_TILES_MAX, MarchedPixels, PixelStrip, TexelGroup, layer_features,
@@ -231,11 +231,11 @@ impl SkyRenderer {
             &mut self.timing,
             &self.pipelines,
             &CompositeInputs {
-                key: composite_key(
+                key: frame_key(
+                    &self.gpu,
                     viewer.quality.settings.frame_filter,
                     self.active.len(),
                     screen_space,
-                    false,
                 ),
                 scene: &cell.buffers.scene_group,
                 layers: &layers,

@@ -8,10 +8,10 @@ use super::qualities::Qualities;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
 use crate::cells::Cells;
-use crate::composite::{Picture, composite_key, ground_key};
+use crate::composite::{Picture, composite_key, ground_key, with_shared_background};
 use crate::config::{FrameFilter, PlacedCell, RenderConfig};
 use crate::field::FieldStore;
-use crate::gpu::{FieldTextures, Gpu, GpuError, Pipelines, TimingRing};
+use crate::gpu::{FieldTextures, Gpu, GpuError, PipelineKey, Pipelines, TimingRing};
 use crate::march::{
     ActiveLayer, Atlas, MarchSettings, SkyLight, TexelMarch, active_layers, audit_key,
     layer_features, pixels_key, sky_light, texels_key,
@@ -128,7 +128,7 @@ impl SkyRenderer {
         let mut keys = Vec::new();
         for filter in FrameFilter::ALL {
             for screen_space in [false, true] {
-                let key = composite_key(filter, active.len(), screen_space, false);
+                let key = frame_key(&self.gpu, filter, active.len(), screen_space);
                 keys.extend([key, ground_key(key)]);
             }
         }
@@ -219,7 +219,7 @@ impl SkyRenderer {
             self.refresh_cells();
             let screen_space = renderer == RendererKind::ScreenSpace;
             for filter in FrameFilter::ALL {
-                let key = composite_key(filter, self.active.len(), screen_space, false);
+                let key = frame_key(&self.gpu, filter, self.active.len(), screen_space);
                 let picture = Picture::new(&self.gpu, &self.pipelines, size, false);
                 self.composite_still(viewer, &picture, key)?;
             }
@@ -249,6 +249,21 @@ impl SkyRenderer {
 
     pub(super) fn stats(&self, uptime_s: f64) -> RenderStats {
         super::stats::render_stats(self, uptime_s)
+    }
+}
+
+/// The composite of viewers' frames.
+pub(super) fn frame_key(
+    gpu: &Gpu,
+    filter: FrameFilter,
+    layers: usize,
+    screen_space: bool,
+) -> PipelineKey {
+    let key = composite_key(filter, layers, screen_space, false);
+    if gpu.is_software() {
+        with_shared_background(key)
+    } else {
+        key
     }
 }
 

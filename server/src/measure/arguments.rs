@@ -79,6 +79,9 @@ pub struct TradeArguments {
     /// Also measure against the path tracer, with so many paths a pixel: for small pictures.
     #[arg(long, value_name = "PATHS", value_parser = clap::value_parser!(u64).range(16..=1_000_000))]
     pub path_traced: Option<u64>,
+    /// Rounds of the search along the front, 0 to 64; 0 measures only where it starts: the points that presets are made of.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(0..=64))]
+    pub front_rounds: Option<u32>,
     /// Measure everything anew, whatever is in the folder.
     #[arg(long)]
     pub fresh: bool,

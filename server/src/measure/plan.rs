@@ -408,21 +408,24 @@ fn ladder(steps: u32) -> Vec<PlannedPoint> {
 
 /// Where the search along the front starts: from draft to more than anybody needs.
 fn front_seeds(extent: Extent) -> Vec<PlannedPoint> {
-    let seed = |steps, samples, mip_bias, sun_steps| PointSettings {
+    use FrameFilter::{Bilinear, CatmullRom};
+    let seed = |steps, samples, mip_bias, sun_steps, filter| PointSettings {
         sun_steps: Some(sun_steps),
+        filter,
         ..PointSettings::cached(steps, samples, mip_bias)
     };
     let seeds = [
-        seed(16, 1, 2.0, 2),
-        seed(64, 4, 1.0, 4),
-        seed(32, 2, 1.5, 4),
-        seed(64, 8, 0.5, 6),
-        seed(128, 8, 0.0, 6),
-        seed(256, 16, 0.0, 8),
+        seed(32, 4, 2.0, 4, Bilinear),
+        seed(64, 8, 1.0, 6, Bilinear),
+        seed(64, 4, 1.0, 8, CatmullRom),
+        seed(64, 8, 0.0, 12, CatmullRom),
+        seed(128, 8, 0.0, 8, CatmullRom),
+        seed(128, 8, 0.0, 16, CatmullRom),
+        seed(256, 16, 0.0, 32, CatmullRom),
     ];
     seeds
         .into_iter()
-        .take(extent.pick(2, 6, 6))
+        .take(extent.pick(2, 7, 7))
         .map(|settings| front_point(&settings))
         .collect()
 }

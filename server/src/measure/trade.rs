@@ -210,6 +210,7 @@ fn search_front(
         return Ok(());
     }
     let (rounds, most) = arguments.extent().front_rounds();
+    let rounds = arguments.front_rounds.unwrap_or(rounds);
     for _ in 0..rounds {
         let found = unmeasured_neighbours(points, scene);
         if found.is_empty() {

@@ -165,14 +165,16 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
     return radiance;
 }
 
-/// Each invocation shades two by two pixels. They share what is behind the clouds, and the reads of the uniforms: a
-/// software driver reads those lane by lane behind any branch, which costs as much as shading a pixel.
+/// Each invocation shades two by two pixels. They share the reads of the uniforms, which a software driver makes lane by
+/// lane behind any branch (that costs as much as shading a pixel), and on such a driver what is behind the clouds as well.
 @compute @workgroup_size(16, 8, 1)
 fn composite(@builtin(global_invocation_id) id: vec3u) {
     let world = scene;
     let eye = view;
     let first = id.xy * 2u + vec2u(0u, eye.first_row);
+#ifdef SHARED_BACKGROUND
     let back = background(world, eye.position, eye.altitude_m, pixel_direction(eye, vec2f(first) + 1.0));
+#endif
     for (var i = 0u; i < 4u; i += 1u) {
         let pixel = first + vec2u(i & 1u, i >> 1u);
         let shown = min(pixel, vec2u(eye.width, eye.height) - 1u);
@@ -182,12 +184,11 @@ fn composite(@builtin(global_invocation_id) id: vec3u) {
         let own = background(world, listed.origin, altitude, listed.direction);
         let radiance = ray_radiance(world, eye, own, shown, pixel_ray(world, listed.origin, altitude, listed.direction));
 #else
-#ifdef LINEAR_OUTPUT
-        // What is measured is not shared.
+#ifdef SHARED_BACKGROUND
+        let radiance = pixel_radiance(world, eye, back, shown);
+#else
         let own = background(world, eye.position, eye.altitude_m, pixel_direction(eye, vec2f(shown) + 0.5));
         let radiance = pixel_radiance(world, eye, own, shown);
-#else
-        let radiance = pixel_radiance(world, eye, back, shown);
 #endif
 #endif
         let inside = pixel.x < eye.width && pixel.y < eye.height;
