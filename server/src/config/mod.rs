@@ -70,8 +70,8 @@ pub struct RenderConfig {
     pub mip_bias: Option<f32>,
     /// Jittered samples that a texel averages, 1 to 16. Without: what the quality says.
     pub samples: Option<u32>,
-    /// How good pictures are for viewers who do not say, in scenes that do not. Without: `high` on a GPU, `balanced` on a
-    /// software driver.
+    /// How good pictures are for viewers who do not say, in scenes that do not. Without: `balanced`; on a software
+    /// driver the fastest point with an error of at most 0.03.
     pub quality: Option<QualityChoice>,
     /// GPU memory for caches.
     pub cache_memory_mib: u32,

@@ -59,6 +59,9 @@ pub(super) struct Qualities {
     due: Instant,
 }
 
+/// Mean FLIP that a software driver aims at where nobody says anything: what two cores can march for a few viewers.
+const SOFTWARE_MAX_ERROR: f64 = 0.03;
+
 /// The quality of one viewer.
 #[derive(Clone, Debug)]
 pub(super) struct ViewerQuality {
@@ -73,10 +76,10 @@ pub(super) struct ViewerQuality {
 
 impl Qualities {
     pub(super) fn new(config: &RenderConfig, is_software: bool) -> Self {
-        let preset = if is_software {
-            QualityPreset::Balanced
+        let default = if is_software {
+            QualityChoice::MaxError(SOFTWARE_MAX_ERROR)
         } else {
-            QualityPreset::High
+            QualityChoice::Preset(QualityPreset::Balanced)
         };
         Self {
             table: QualityTable::embedded(),
@@ -86,7 +89,7 @@ impl Qualities {
                 mip_bias: config.mip_bias.map(f64::from),
                 frame_filter: config.frame_filter,
             },
-            default: config.quality.unwrap_or(QualityChoice::Preset(preset)),
+            default: config.quality.unwrap_or(default),
             are_chosen: false,
             composite: UnitTime::default(),
             tile: UnitTime::default(),

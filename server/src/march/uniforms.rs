@@ -13,7 +13,7 @@ use skycell_shaders::{Density, Features, layout};
 pub const EXPOSURE_AT_ZERO_EV: f64 = 3.6;
 
 /// A ray stops where less than this share of the light behind could still come through.
-const TRANSMITTANCE_MIN: f32 = 0.004;
+const TRANSMITTANCE_MIN: f32 = 0.001;
 /// Most lit samples of a ray whose steps do not grow.
 const STEPS_MAX: u32 = 4096;
 

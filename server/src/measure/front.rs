@@ -35,8 +35,8 @@ impl Preset {
     #[must_use]
     pub fn flip_max(self) -> Option<f64> {
         match self {
-            Self::Draft => Some(0.05),
-            Self::Balanced => Some(0.02),
+            Self::Draft => Some(0.06),
+            Self::Balanced => Some(0.015),
             Self::High => Some(0.01),
             Self::Reference => None,
         }

@@ -417,11 +417,11 @@ fn front_seeds(extent: Extent) -> Vec<PlannedPoint> {
     let seeds = [
         seed(32, 4, 2.0, 4, Bilinear),
         seed(64, 8, 1.0, 6, Bilinear),
-        seed(64, 4, 1.0, 8, CatmullRom),
+        seed(64, 8, 1.0, 8, CatmullRom),
         seed(64, 8, 0.0, 12, CatmullRom),
         seed(128, 8, 0.0, 8, CatmullRom),
         seed(128, 8, 0.0, 16, CatmullRom),
-        seed(256, 16, 0.0, 32, CatmullRom),
+        seed(512, 8, 0.0, 32, CatmullRom),
     ];
     seeds
         .into_iter()

@@ -80,7 +80,8 @@ fn quality_point(
         "settings": {
             "march_steps": steps,
             "sun_steps": sun_steps.unwrap_or(scene.light().sun_steps()),
-            "octaves": octaves.unwrap_or(scene.light().octaves()),
+            // How many terms of the sum there are is the scene's to say: another number is another sky.
+            "octaves": octaves,
             "samples": samples,
             "mip_bias": mip_bias,
             "frame_filter": filter,

@@ -11,7 +11,7 @@ use glam::DVec3;
 use serde::Serialize;
 
 /// A ray stops where less than this share of the light behind could still come through.
-const TRANSMITTANCE_MIN: f64 = 0.004;
+const TRANSMITTANCE_MIN: f64 = 0.001;
 /// Detail begins to fade where its voxels are seen under this angle, rad.
 const DETAIL_ANGLE_RAD: f64 = 2.2e-3;
 /// Voxels along a period of the detail noise that the fading counts with.
