@@ -96,7 +96,7 @@ async fn the_page_shows_the_sky_looks_around_and_shares_it_with_a_second_tab() -
         .await?;
     first.evaluate(&choose("")).await?;
     first
-        .wait_for("/^balanced|^high/.test(document.getElementById('picked').textContent)")
+        .wait_for("/^(balanced|custom) /.test(document.getElementById('picked').textContent)")
         .await?;
 
     // A second tab shares the cell; it looks where the page looks at first, 20° or so beside the first.
