@@ -205,7 +205,6 @@ fn at_the_same_steps_the_picture_is_the_references_to_a_thousandth() {
 /// marching. (Samples beside the middles are averaged before they are lit by the phase of the middle, and the middle decides
 /// what is ground: in small pictures, whose pixels are degrees wide, that would outweigh all else.)
 #[test]
-#[ignore = "slower suite: deploy/test --full"]
 fn the_high_preset_is_within_a_hundredth_of_flip_of_the_converged_reference() {
     let size = FrameSize::new(64, 36).expect("a size");
     let mut still = renderer();
