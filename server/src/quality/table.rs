@@ -130,7 +130,7 @@ impl QualityTable {
     pub fn embedded() -> Self {
         match Self::from_json_text(include_str!("../../data/quality.json")) {
             Ok(table) => table,
-            // The file is a part of the program; `the_embedded_table_is_good` holds it right.
+            // The file is a part of the program; `the_embedded_table_is_measured_…` holds it right.
             Err(error) => unreachable!("{error}"),
         }
     }
