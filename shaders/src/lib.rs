@@ -5,6 +5,9 @@
 //! both sides see; a test compares the two.
 
 pub mod layout;
+mod resources;
+
+pub use resources::resources_of;
 
 use naga_oil::compose::{
     ComposableModuleDescriptor, Composer, NagaModuleDescriptor, ShaderDefValue,

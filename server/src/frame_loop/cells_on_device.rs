@@ -302,11 +302,7 @@ impl SkyRenderer {
     }
 
     pub(super) fn cache_bytes(&self) -> u64 {
-        if self.caches.resident() == 0 {
-            0
-        } else {
-            self.atlas.bytes()
-        }
+        self.atlas.bytes()
     }
 
     /// How far a cell's first anchor has drifted, and its reference.

@@ -12,6 +12,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Instant;
 
 use crate::audit::AuditStats;
+use crate::gpu::DeviceInventory;
 use crate::quality::QualitySettings;
 use serde::Serialize;
 use skycell_protocol::{
@@ -252,6 +253,8 @@ pub struct RenderStats {
     pub uptime_s: f64,
     /// Sums since the start.
     pub totals: RenderTotals,
+    /// Buffers, textures, pipelines and passes of the device.
+    pub device: DeviceInventory,
     /// How far cached texels are from texels marched anew at high quality.
     pub audit: AuditStats,
     /// What is picked for viewers who ask for no quality.

@@ -11,7 +11,9 @@ use crate::cells::Cells;
 use crate::composite::{Picture, composite_key, ground_key, with_shared_background};
 use crate::config::{FrameFilter, PlacedCell, RenderConfig};
 use crate::field::FieldStore;
-use crate::gpu::{FieldTextures, Gpu, GpuError, PipelineKey, Pipelines, TimingRing};
+use crate::gpu::{
+    DeviceInventory, FieldTextures, Gpu, GpuError, PipelineKey, Pipelines, TimingRing,
+};
 use crate::march::{
     ActiveLayer, Atlas, MarchSettings, SkyLight, TexelMarch, active_layers, audit_key,
     layer_features, pixels_key, sky_light, texels_key,
@@ -245,6 +247,11 @@ impl SkyRenderer {
             .iter()
             .map(|layer| self.scene.layer_wind(layer.scene_index).speed_m_per_s())
             .fold(0.0, f64::max)
+    }
+
+    /// What stands on the device.
+    pub(super) fn inventory(&self) -> DeviceInventory {
+        DeviceInventory::of(&self.gpu, &self.pipelines, &self.timing)
     }
 
     pub(super) fn stats(&self, uptime_s: f64) -> RenderStats {

@@ -44,6 +44,7 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             screen_space_marches: counters.screen_space_marches,
             cache_bytes: renderer.cache_bytes(),
         },
+        device: renderer.inventory(),
         audit: AuditStats {
             // Nobody is there to be shown anything wrong.
             rests: renderer.viewers.is_empty() || !renderer.audit.is_pending(),

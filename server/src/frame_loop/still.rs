@@ -8,11 +8,13 @@ use super::still_settings::{StillFigures, StillPicture, StillSettings};
 use crate::cells::Cells;
 use crate::composite::{Picture, composite_key, ground_key};
 use crate::config::{PlacedCell, RenderConfig};
-use crate::gpu::{Gpu, GpuError, PipelineKey, TimedPass, read_buffer_blocking};
+use crate::gpu::{DeviceInventory, Gpu, GpuError, PipelineKey, TimedPass};
+use crate::gpu::{read_buffer_blocking, reads_of};
 use crate::march::{LISTED_VALUES, MarchedPixels, layer_features, pixels_key};
 use glam::DVec3;
 use skycell_protocol::{Camera, Codec, FrameSize, RendererKind, Scene, ViewerId};
 use skycell_shaders::{Features, layout};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -81,6 +83,20 @@ impl StillRenderer {
     #[must_use]
     pub fn totals(&self) -> RenderTotals {
         self.renderer.stats(0.0).totals
+    }
+
+    /// What stands on the device.
+    #[must_use]
+    pub fn inventory(&self) -> DeviceInventory {
+        self.renderer.inventory()
+    }
+
+    /// What the pipelines that were made can read or write, by entry point.
+    ///
+    /// # Errors
+    /// When a kernel does not compose.
+    pub fn reads(&self) -> Result<BTreeMap<&'static str, BTreeSet<String>>, GpuError> {
+        reads_of(&self.renderer.pipelines)
     }
 
     /// The scene.

@@ -3,12 +3,14 @@
 
 mod device;
 mod field_textures;
+mod inventory;
 mod pipelines;
 mod readback;
 mod timing;
 
 pub use device::{AdapterReport, Gpu, GpuError};
 pub use field_textures::FieldTextures;
+pub use inventory::{DeviceInventory, ResourceStats, reads_of};
 pub use pipelines::{PipelineKey, Pipelines};
 pub use readback::{MappedPixels, ReadbackRing, read_buffer_blocking};
 pub use timing::{TimedPass, TimingRing};

@@ -288,6 +288,11 @@ impl Pipelines {
         self.made.clear();
     }
 
+    /// What has been made.
+    pub fn keys(&self) -> impl Iterator<Item = &PipelineKey> {
+        self.made.keys()
+    }
+
     /// A pipeline that [`Self::prepare`] has made.
     #[must_use]
     pub fn get(&self, key: PipelineKey) -> Option<&wgpu::ComputePipeline> {

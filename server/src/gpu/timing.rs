@@ -17,6 +17,22 @@ pub enum TimedPass {
     ScreenSpace,
 }
 
+impl TimedPass {
+    /// Every kind.
+    pub const ALL: [Self; 4] = [Self::Cache, Self::Audit, Self::Composite, Self::ScreenSpace];
+
+    /// As figures call it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Cache => "cache",
+            Self::Audit => "audit",
+            Self::Composite => "composite",
+            Self::ScreenSpace => "screen-space",
+        }
+    }
+}
+
 /// Passes that one submission can time.
 const PASSES_MAX: u32 = 64;
 /// Submissions that can be under way; a further one goes untimed.
@@ -42,6 +58,7 @@ struct Sums {
 
 #[derive(Debug, Default)]
 struct Sum {
+    passes: AtomicU64,
     ns: AtomicU64,
     units: AtomicU64,
 }
@@ -109,6 +126,7 @@ impl TimingRing {
         what: TimedPass,
         units: u64,
     ) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
+        self.sums.of(what).passes.fetch_add(1, Ordering::Relaxed);
         let slot = &mut self.slots[self.current?];
         let index = slot.passes.len() as u32;
         if index == PASSES_MAX {
@@ -174,6 +192,14 @@ impl TimingRing {
             sum.ns.load(Ordering::Relaxed),
             sum.units.load(Ordering::Relaxed),
         )
+    }
+}
+
+impl TimingRing {
+    /// How many passes of a kind were recorded since the start, timed or not.
+    #[must_use]
+    pub fn passes(&self, pass: TimedPass) -> u64 {
+        self.sums.of(pass).passes.load(Ordering::Relaxed)
     }
 }
 

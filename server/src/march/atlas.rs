@@ -26,14 +26,20 @@ pub struct Atlas {
     version: u64,
 }
 
+/// Pages of an atlas; of none, a texel that stands where bind groups want something.
 fn texture(gpu: &Gpu, label: &str, pages: u32, format: wgpu::TextureFormat) -> wgpu::Texture {
-    gpu.device.create_texture(&wgpu::TextureDescriptor {
-        label: Some(label),
-        size: wgpu::Extent3d {
+    let size = if pages == 0 {
+        wgpu::Extent3d::default()
+    } else {
+        wgpu::Extent3d {
             width: PAGE_WIDTH,
             height: PAGE_HEIGHT,
             depth_or_array_layers: pages,
-        },
+        }
+    };
+    gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: Some(label),
+        size,
         mip_level_count: 1,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
@@ -50,15 +56,15 @@ const RADIANCE: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 const DISTANCE: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
 
 impl Atlas {
-    /// An atlas of one page.
+    /// An atlas without pages.
     #[must_use]
     pub fn new(gpu: &Gpu) -> Self {
         Self {
-            radiance: texture(gpu, "atlas radiance", 1, RADIANCE),
-            distance: texture(gpu, "atlas distance", 1, DISTANCE),
-            previous_radiance: texture(gpu, "previous radiance", 1, RADIANCE),
-            previous_distance: texture(gpu, "previous distance", 1, DISTANCE),
-            pages: 1,
+            radiance: texture(gpu, "atlas radiance", 0, RADIANCE),
+            distance: texture(gpu, "atlas distance", 0, DISTANCE),
+            previous_radiance: texture(gpu, "previous radiance", 0, RADIANCE),
+            previous_distance: texture(gpu, "previous distance", 0, DISTANCE),
+            pages: 0,
             version: 0,
         }
     }
@@ -72,26 +78,33 @@ impl Atlas {
 
     /// Makes room for slots below `slots`, or gives pages back when there are none. Contents stay.
     pub fn fit(&mut self, gpu: &Gpu, slots: u32) {
-        let wanted = slots.div_ceil(TILES_PER_PAGE).max(1);
+        let wanted = slots.div_ceil(TILES_PER_PAGE);
         if wanted == self.pages || (wanted < self.pages && slots > 0) {
             return;
         }
         let radiance = texture(gpu, "atlas radiance", wanted, RADIANCE);
         let distance = texture(gpu, "atlas distance", wanted, DISTANCE);
-        let mut encoder = gpu
-            .device
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
-                label: Some("grow atlas"),
-            });
-        let extent = wgpu::Extent3d {
-            width: PAGE_WIDTH,
-            height: PAGE_HEIGHT,
-            depth_or_array_layers: self.pages.min(wanted),
-        };
-        for (old, new) in [(&self.radiance, &radiance), (&self.distance, &distance)] {
-            encoder.copy_texture_to_texture(old.as_image_copy(), new.as_image_copy(), extent);
+        let kept = self.pages.min(wanted);
+        if kept > 0 {
+            let mut encoder = gpu
+                .device
+                .create_command_encoder(&wgpu::CommandEncoderDescriptor {
+                    label: Some("grow atlas"),
+                });
+            let extent = wgpu::Extent3d {
+                width: PAGE_WIDTH,
+                height: PAGE_HEIGHT,
+                depth_or_array_layers: kept,
+            };
+            for (old, new) in [(&self.radiance, &radiance), (&self.distance, &distance)] {
+                encoder.copy_texture_to_texture(old.as_image_copy(), new.as_image_copy(), extent);
+            }
+            gpu.queue.submit([encoder.finish()]);
+        } else {
+            let working = wanted.min(1);
+            self.previous_radiance = texture(gpu, "previous radiance", working, RADIANCE);
+            self.previous_distance = texture(gpu, "previous distance", working, DISTANCE);
         }
-        gpu.queue.submit([encoder.finish()]);
         self.radiance = radiance;
         self.distance = distance;
         self.pages = wanted;
@@ -107,7 +120,8 @@ impl Atlas {
     /// Bytes on the device, the working page included.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        u64::from((self.pages + 1) * TILES_PER_PAGE) * TEXELS_PER_TILE * BYTES_PER_TEXEL
+        let working = self.pages.min(1);
+        u64::from((self.pages + working) * TILES_PER_PAGE) * TEXELS_PER_TILE * BYTES_PER_TEXEL
     }
 
     /// Radiance and distance of all pages.

@@ -165,6 +165,7 @@ pub(super) fn run(
             "texels_updated": totals.texels_updated, "tiles_updated": totals.tiles_updated,
             "screen_space_marches": totals.screen_space_marches, "cache_bytes": totals.cache_bytes,
             "gpu_cache_ns": cache_ns, "gpu_composite_ns": composite_ns, "gpu_screen_space_ns": screen_space_ns,
+            "device": still.inventory(), "reads": still.reads()?,
         });
         println!("{told}");
     } else {

@@ -1,0 +1,109 @@
+//! What a scene lacks has no buffer, no pass and no read: shown by what the device's allocator holds, the passes that were
+//! recorded, and the resources that the compiled shaders reach.
+
+use serde_json::{Value, json};
+use skycell_protocol::{Camera, FrameSize, RendererKind, Scene};
+use skycell_server::config::RenderConfig;
+use skycell_server::frame_loop::{StillRenderer, StillSettings};
+use skycell_server::gpu::DeviceInventory;
+use skycell_server::march::MarchSettings;
+use skycell_tests::server::target_dir;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// What a small picture of a scene leaves on the device, and what its shaders reach.
+fn rendered(
+    document: &Value,
+    kind: RendererKind,
+) -> (DeviceInventory, BTreeMap<&'static str, BTreeSet<String>>) {
+    let scene = Scene::from_json(document).expect("a valid document");
+    let noise = target_dir().expect("a folder").join("noise-of-tests");
+    let mut still =
+        StillRenderer::new(RenderConfig::new(noise), Arc::new(scene), &[]).expect("a device");
+    let settings = StillSettings {
+        renderer: kind,
+        samples: 1,
+        march: MarchSettings {
+            steps: 16,
+            ..MarchSettings::default()
+        },
+        ..StillSettings::default()
+    };
+    let camera = Camera::new([0.0, 2.0, 0.0], 0.0, 30.0, 60.0).expect("a camera");
+    let size = FrameSize::new(32, 16).expect("a size");
+    still
+        .render_with(camera, size, &settings, |_| {})
+        .expect("a picture");
+    (still.inventory(), still.reads().expect("kernels compose"))
+}
+
+fn passes(inventory: &DeviceInventory, name: &str) -> u64 {
+    inventory.passes.get(name).copied().unwrap_or(0)
+}
+
+/// Memory of the cache's textures.
+fn atlas_bytes(inventory: &DeviceInventory) -> u64 {
+    [
+        "atlas radiance",
+        "atlas distance",
+        "previous radiance",
+        "previous distance",
+    ]
+    .iter()
+    .filter_map(|label| inventory.resources.get(*label))
+    .map(|stats| stats.bytes)
+    .sum()
+}
+
+#[test]
+fn a_scene_without_layers_marches_nothing_and_reads_no_cache() {
+    for layers in [
+        json!([]),
+        json!([{"density": {"model": "weather", "coverage": 0}}]),
+        json!([{"extinction_per_m": 0}]),
+    ] {
+        let (inventory, reads) = rendered(
+            &json!({"version": 1, "layers": layers}),
+            RendererKind::Cached,
+        );
+        assert_eq!(passes(&inventory, "cache"), 0);
+        // Texels that stand where bind groups want something.
+        assert!(atlas_bytes(&inventory) < 4096, "{inventory:?}");
+        assert!(passes(&inventory, "composite") > 0);
+        for kernel in ["march_texels", "march_pixels", "audit_texels"] {
+            assert!(!reads.contains_key(kernel), "{layers}: {reads:?}");
+        }
+        for name in ["atlas_radiance", "atlas_distance", "page_table"] {
+            assert!(!reads["composite"].contains(name), "{layers}: {reads:?}");
+        }
+    }
+}
+
+#[test]
+fn a_cached_picture_has_no_marched_pixels_and_the_other_way_round() {
+    let document = json!({"version": 1});
+    let (inventory, _) = rendered(&document, RendererKind::Cached);
+    assert!(passes(&inventory, "cache") > 0 && passes(&inventory, "screen-space") == 0);
+    assert!(!inventory.has("marched pixels"), "{inventory:?}");
+    assert!(atlas_bytes(&inventory) > 1 << 20, "{inventory:?}");
+    let (inventory, _) = rendered(&document, RendererKind::ScreenSpace);
+    assert!(passes(&inventory, "cache") == 0 && passes(&inventory, "screen-space") > 0);
+    assert!(inventory.has("marched pixels"), "{inventory:?}");
+    assert!(atlas_bytes(&inventory) < 4096, "{inventory:?}");
+}
+
+#[test]
+fn a_layer_that_is_filled_reads_neither_maps_nor_noise() {
+    let document = json!({"version": 1, "layers": [{"density": {"model": "homogeneous"}}]});
+    let (_, reads) = rendered(&document, RendererKind::Cached);
+    let march = &reads["march_texels"];
+    for name in ["field_maps", "field_shape", "field_detail", "field_grids"] {
+        assert!(!march.contains(name), "{march:?}");
+    }
+    let (_, reads) = rendered(&json!({"version": 1}), RendererKind::Cached);
+    let march = &reads["march_texels"];
+    assert!(
+        march.contains("field_maps") && !march.contains("field_grids"),
+        "{march:?}"
+    );
+}
