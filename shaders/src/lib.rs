@@ -29,17 +29,20 @@ pub enum Kernel {
     Probe,
     /// Functions of the scene and its cloud field evaluated at given points.
     ProbeField,
+    /// Old maps on their way to new ones.
+    BlendMaps,
 }
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::MarchTexels,
         Self::MarchPixels,
         Self::AuditTexels,
         Self::Composite,
         Self::Probe,
         Self::ProbeField,
+        Self::BlendMaps,
     ];
 
     /// Name of the entry point.
@@ -52,6 +55,7 @@ impl Kernel {
             Self::Composite => "composite",
             Self::Probe => "probe",
             Self::ProbeField => "probe_field",
+            Self::BlendMaps => "blend_maps",
         }
     }
 
@@ -72,6 +76,10 @@ impl Kernel {
             ),
             Self::Probe => ("probe/probe.wgsl", include_str!("../wgsl/probe/probe.wgsl")),
             Self::ProbeField => ("probe/field.wgsl", include_str!("../wgsl/probe/field.wgsl")),
+            Self::BlendMaps => (
+                "cloud/blend_maps.wgsl",
+                include_str!("../wgsl/cloud/blend_maps.wgsl"),
+            ),
         }
     }
 }
@@ -202,6 +210,7 @@ const MODULES: &[(&str, &str)] = &[
         "light/transport.wgsl",
         include_str!("../wgsl/light/transport.wgsl"),
     ),
+    ("cloud/blend.wgsl", include_str!("../wgsl/cloud/blend.wgsl")),
     (
         "cloud/density.wgsl",
         include_str!("../wgsl/cloud/density.wgsl"),

@@ -7,6 +7,7 @@ use super::document::{
     BoxDocument, DensityDocument, GridDocument, HomogeneousDocument, ShapeDocument, SphereDocument,
     WeatherDocument,
 };
+use super::maps::{MapFiles, checked_file_name};
 use super::ranges;
 use crate::ValueError;
 use crate::number_range::NumberRange;
@@ -107,6 +108,8 @@ pub struct WeatherDensity {
     detail_period_m: f64,
     detail_strength: f64,
     seed: u32,
+    evolution_m_per_s: f64,
+    maps: MapFiles,
 }
 
 impl WeatherDensity {
@@ -143,6 +146,31 @@ impl WeatherDensity {
     /// Another number, another sky.
     pub fn seed(&self) -> u32 {
         self.seed
+    }
+
+    /// Speed at which the noise rises through the clouds.
+    pub fn evolution_m_per_s(&self) -> f64 {
+        self.evolution_m_per_s
+    }
+
+    /// Maps from files.
+    pub fn maps(&self) -> &MapFiles {
+        &self.maps
+    }
+
+    /// Whether both read the same maps.
+    pub fn same_maps(&self, other: &Self) -> bool {
+        self.seed == other.seed && self.maps.same_files(&other.maps)
+    }
+
+    /// The same layer with another's maps.
+    #[must_use]
+    pub fn with_maps_of(&self, other: &Self) -> Self {
+        Self {
+            seed: other.seed,
+            maps: other.maps.clone(),
+            ..self.clone()
+        }
     }
 }
 
@@ -194,22 +222,7 @@ impl TryFrom<GridDocument> for GridDensity {
     type Error = ValueError;
 
     fn try_from(document: GridDocument) -> Result<Self, ValueError> {
-        let is_name = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
-        let length = document.file.chars().count();
-        if length == 0
-            || length > ranges::GRID_FILE_MAX_CHARS
-            || document.file.starts_with('.')
-            || !document.file.chars().all(is_name)
-        {
-            return Err(ValueError::new(
-                "/file",
-                &Value::from(document.file),
-                format!(
-                    "a file name of 1 to {} letters, digits, \".\", \"_\" and \"-\", not beginning with \".\"",
-                    ranges::GRID_FILE_MAX_CHARS
-                ),
-            ));
-        }
+        let file = checked_file_name("/file", document.file)?;
         for (axis, dimension) in document.dimensions.iter().enumerate() {
             ranges::GRID_DIMENSION.check_u32(&format!("/dimensions/{axis}"), *dimension)?;
         }
@@ -227,7 +240,7 @@ impl TryFrom<GridDocument> for GridDensity {
             })?;
         }
         let grid = Self {
-            file: document.file,
+            file,
             dimensions: document.dimensions,
             bounds_min_m,
             bounds_max_m,
@@ -297,6 +310,9 @@ impl TryFrom<WeatherDocument> for WeatherDensity {
             detail_strength: ranges::DETAIL_STRENGTH
                 .check("/detail_strength", document.detail_strength)?,
             seed: document.seed,
+            evolution_m_per_s: ranges::EVOLUTION_M_PER_S
+                .check("/evolution_m_per_s", document.evolution_m_per_s)?,
+            maps: MapFiles::try_from(document.maps).map_err(|error| error.under("/maps"))?,
         })
     }
 }
@@ -311,6 +327,8 @@ impl From<&WeatherDensity> for WeatherDocument {
             detail_period_m: weather.detail_period_m,
             detail_strength: weather.detail_strength,
             seed: weather.seed,
+            evolution_m_per_s: weather.evolution_m_per_s,
+            maps: (&weather.maps).into(),
         }
     }
 }

@@ -4,6 +4,7 @@
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
+use super::maps::MapsDocument;
 use crate::ValueError;
 use crate::quality::QualityChoice;
 use crate::read_json::{ObjectReader, ReadJson, document, read_name};
@@ -242,6 +243,10 @@ document! {
         "detail_strength" => detail_strength: f64 = 0.3,
         /// Another number, another sky.
         "seed" => seed: u32 = 1,
+        /// Speed at which the noise rises through the clouds, apart from the wind: they change their shapes.
+        "evolution_m_per_s" => evolution_m_per_s: f64 = 0.0,
+        /// Maps from files.
+        "maps" => maps: MapsDocument = MapsDocument::default(),
     }
 }
 

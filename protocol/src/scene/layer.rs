@@ -56,6 +56,20 @@ impl CloudLayer {
     pub fn own_wind(&self) -> Option<Wind> {
         self.wind
     }
+
+    /// Whether both are the same but for the maps that they read.
+    pub fn is_same_but_for_maps(&self, other: &Self) -> bool {
+        match (&self.density, &other.density) {
+            (DensityModel::Weather(ours), DensityModel::Weather(theirs)) => {
+                let alike = Self {
+                    density: DensityModel::Weather(ours.with_maps_of(theirs)),
+                    ..self.clone()
+                };
+                alike == *other
+            }
+            _ => self == other,
+        }
+    }
 }
 
 impl TryFrom<LayerDocument> for CloudLayer {

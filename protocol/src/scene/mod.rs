@@ -4,6 +4,7 @@ mod density;
 mod document;
 mod layer;
 mod light;
+mod maps;
 pub mod ranges;
 mod sky;
 #[cfg(test)]
@@ -20,6 +21,7 @@ pub use document::{
 };
 pub use layer::CloudLayer;
 pub use light::{Light, PhaseFunction};
+pub use maps::{MapFiles, MapKind, MapsDocument};
 pub use sky::{
     AnalyticAtmosphere, Atmosphere, FLAT_RADIUS_M, Planet, Sun, UniformAtmosphere, Wind,
 };

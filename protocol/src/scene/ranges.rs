@@ -46,6 +46,10 @@ pub const SHAPE_PERIOD_M: NumberRange = NumberRange::new(100.0, 1.0e5);
 pub const DETAIL_PERIOD_M: NumberRange = NumberRange::new(10.0, 1.0e4);
 /// `detail_strength`
 pub const DETAIL_STRENGTH: NumberRange = NumberRange::new(0.0, 1.0);
+/// `evolution_m_per_s`
+pub const EVOLUTION_M_PER_S: NumberRange = NumberRange::new(-50.0, 50.0);
+/// `transition_s` of maps: a day at most
+pub const TRANSITION_S: NumberRange = NumberRange::new(0.0, 86_400.0);
 /// `extinction_per_m`
 pub const EXTINCTION_PER_M: NumberRange = NumberRange::new(0.0, 1.0e3);
 /// `single_scattering_albedo`

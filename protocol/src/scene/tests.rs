@@ -29,7 +29,8 @@ fn the_default_document_is_pinned() {
             "density": {
                 "model": "weather", "coverage": 0.45, "type": 0.7, "map_span_m": 40000.0,
                 "shape_period_m": 5000.0, "detail_period_m": 420.0, "detail_strength": 0.3,
-                "seed": 1
+                "seed": 1, "evolution_m_per_s": 0.0,
+                "maps": {"coverage": null, "type": null, "profile": null, "transition_s": 0.0}
             },
             "extinction_per_m": 0.05, "single_scattering_albedo": 0.9999, "wind": null
         }],
@@ -204,6 +205,24 @@ fn wind() -> impl Strategy<Value = WindDocument> {
         })
 }
 
+fn maps() -> impl Strategy<Value = MapsDocument> {
+    let file = || {
+        prop_oneof![
+            Just(None),
+            Just(Some("towers.png".to_owned())),
+            Just(Some("0123456789abcdef.exr".to_owned()))
+        ]
+    };
+    (file(), file(), file(), in_range(ranges::TRANSITION_S)).prop_map(
+        |(coverage, cloud_type, profile, transition_s)| MapsDocument {
+            coverage,
+            cloud_type,
+            profile,
+            transition_s,
+        },
+    )
+}
+
 fn density() -> impl Strategy<Value = DensityDocument> {
     let weather = (
         in_range(ranges::COVERAGE),
@@ -213,6 +232,8 @@ fn density() -> impl Strategy<Value = DensityDocument> {
         in_range(ranges::DETAIL_PERIOD_M),
         in_range(ranges::DETAIL_STRENGTH),
         any::<u32>(),
+        in_range(ranges::EVOLUTION_M_PER_S),
+        maps(),
     )
         .prop_map(
             |(
@@ -223,6 +244,8 @@ fn density() -> impl Strategy<Value = DensityDocument> {
                 detail_period_m,
                 detail_strength,
                 seed,
+                evolution_m_per_s,
+                maps,
             )| {
                 DensityDocument::Weather(WeatherDocument {
                     coverage,
@@ -232,6 +255,8 @@ fn density() -> impl Strategy<Value = DensityDocument> {
                     detail_period_m,
                     detail_strength,
                     seed,
+                    evolution_m_per_s,
+                    maps,
                 })
             },
         );

@@ -1,27 +1,27 @@
 //! The data that densities read, as plain values.
 
-use crate::{ByteMap, ByteVolume};
+use crate::{ByteVolume, TexelMap};
 
-/// What weather layers share: the noise that carves clouds and the vertical profile.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// What weather layers share: the noise that carves clouds.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Noise {
     /// Bodies of clouds; channels billowy and wispy.
     pub shape: ByteVolume,
     /// What frays their edges; channels billowy and wispy.
     pub detail: ByteVolume,
-    /// How much of its coverage a cloud keeps: height along a row, types down the rows.
-    pub profile: ByteMap,
 }
 
-/// Maps of one weather layer; they repeat after the layer's map span.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// Maps of one weather layer; but for the profile they repeat after the layer's map span.
+#[derive(Clone, Debug, PartialEq)]
 pub struct WeatherMaps {
     /// Coverage before the layer's own setting.
-    pub coverage: ByteMap,
+    pub coverage: TexelMap,
     /// Type before the layer's own setting.
-    pub cloud_type: ByteMap,
+    pub cloud_type: TexelMap,
     /// Distance to the nearest possible cloud; 1 is a quarter of the span. Zero everywhere is always right.
-    pub skip: ByteMap,
+    pub skip: TexelMap,
+    /// How much of its coverage a cloud keeps: height along a row, types down the rows.
+    pub profile: TexelMap,
 }
 
 /// What one layer of the scene reads.

@@ -31,5 +31,5 @@ pub use error::ReferenceError;
 pub use field::{Field, LayerField, Noise, WeatherMaps};
 pub use ray::Ray;
 pub use result::{LayerGathered, RayResult, StandardErrors};
-pub use texture::{ByteMap, ByteVolume};
+pub use texture::{ByteVolume, TexelMap};
 pub use world::{Approximations, World, WorldLayer, WorldSettings};

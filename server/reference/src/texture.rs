@@ -2,6 +2,7 @@
 //! fractions of 255 (WebGPU, "texel sampling"; unorm8).
 
 use crate::ReferenceError;
+use crate::error::checked;
 
 /// Most texels along an edge.
 const EDGE_MAX: u32 = 65_536;
@@ -66,16 +67,25 @@ fn check(what: &str, sizes: &[u32], channels: usize, given: usize) -> Result<(),
     }
 }
 
-/// A map of bytes, row by row.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ByteMap {
-    width: u32,
-    height: u32,
-    texels: Vec<u8>,
+/// Values of a map.
+#[derive(Clone, Debug, PartialEq)]
+enum Texels {
+    /// 255ths.
+    Bytes(Vec<u8>),
+    /// Any, such as half floats.
+    Values(Vec<f32>),
 }
 
-impl ByteMap {
-    /// A map; `what` names it in errors.
+/// A map of values in 0…1, row by row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TexelMap {
+    width: u32,
+    height: u32,
+    texels: Texels,
+}
+
+impl TexelMap {
+    /// A map of 255ths; `what` names it in errors.
     ///
     /// # Errors
     /// If there are not width × height texels.
@@ -89,7 +99,28 @@ impl ByteMap {
         Ok(Self {
             width,
             height,
-            texels,
+            texels: Texels::Bytes(texels),
+        })
+    }
+
+    /// A map of values as they are; `what` names it in errors.
+    ///
+    /// # Errors
+    /// If there are not width × height values, or one is not in 0…1.
+    pub fn of_values(
+        what: &str,
+        width: u32,
+        height: u32,
+        values: Vec<f32>,
+    ) -> Result<Self, ReferenceError> {
+        check(what, &[width, height], 1, values.len())?;
+        for value in &values {
+            checked("a value of a map", f64::from(*value), 0.0..=1.0, "0 to 1")?;
+        }
+        Ok(Self {
+            width,
+            height,
+            texels: Texels::Values(values),
         })
     }
 
@@ -110,20 +141,29 @@ impl ByteMap {
         (self.width, self.height) == (other.width, other.height)
     }
 
-    /// The texel of a column and a row that repeat.
+    /// The value of the texel of a column and a row that repeat.
     #[must_use]
-    pub fn texel_repeated(&self, x: i64, y: i64) -> u8 {
+    pub fn texel_repeated(&self, x: i64, y: i64) -> f64 {
         let x = x.rem_euclid(i64::from(self.width)) as usize;
         let y = y.rem_euclid(i64::from(self.height)) as usize;
-        self.texels[y * self.width as usize + x]
+        let index = y * self.width as usize + x;
+        match &self.texels {
+            Texels::Bytes(bytes) => f64::from(bytes[index]) / 255.0,
+            Texels::Values(values) => f64::from(values[index]),
+        }
     }
 
     fn mixed(&self, (x0, x1, fx): Tap, (y0, y1, fy): Tap) -> f64 {
         let width = self.width as usize;
-        let at = |x: usize, y: usize| f64::from(self.texels[y * width + x]);
-        let upper = mix(at(x0, y0), at(x1, y0), fx);
-        let lower = mix(at(x0, y1), at(x1, y1), fx);
-        mix(upper, lower, fy) / 255.0
+        let mixed = |at: &dyn Fn(usize) -> f64| {
+            let upper = mix(at(y0 * width + x0), at(y0 * width + x1), fx);
+            let lower = mix(at(y1 * width + x0), at(y1 * width + x1), fx);
+            mix(upper, lower, fy)
+        };
+        match &self.texels {
+            Texels::Bytes(bytes) => mixed(&|index| f64::from(bytes[index])) / 255.0,
+            Texels::Values(values) => mixed(&|index| f64::from(values[index])),
+        }
     }
 
     /// Where texture coordinates that repeat after 1 are read.
@@ -216,7 +256,7 @@ mod tests {
 
     #[test]
     fn texel_centres_hold_their_bytes_and_edges_wrap_or_clamp() {
-        let map = ByteMap::new("map", 4, 2, vec![0, 51, 102, 255, 255, 0, 0, 0]).expect("a map");
+        let map = TexelMap::new("map", 4, 2, vec![0, 51, 102, 255, 255, 0, 0, 0]).expect("a map");
         let close = |a: f64, b: f64| (a - b).abs() < 1e-12;
         assert!(close(map.repeated(0.375, 0.25), 0.2));
         assert!(close(map.repeated(1.375, -0.75), 0.2));
@@ -245,7 +285,7 @@ mod tests {
 
     #[test]
     fn data_that_does_not_fill_its_size_is_refused() {
-        assert!(ByteMap::new("map", 2, 2, vec![0; 5]).is_err());
+        assert!(TexelMap::new("map", 2, 2, vec![0; 5]).is_err());
         assert!(ByteVolume::new("volume", 0, Vec::new()).is_err());
     }
 }

@@ -172,6 +172,7 @@ impl World {
                     layer.base_altitude_m(),
                     thickness_m,
                     settings.approximations.detail_noise,
+                    weather.evolution_m_per_s() * settings.time_s,
                 )),
                 DensityModel::Homogeneous(Shape::Layer) => Medium::Full,
                 DensityModel::Homogeneous(Shape::Box { center_m, size_m }) => Medium::Box {
@@ -342,7 +343,7 @@ impl World {
                 let (Some(noise), Some(maps)) = (self.noise(), self.maps(layer)) else {
                     return 0.0;
                 };
-                let profile = weather.dimensional_profile(noise, maps, place, height_fraction);
+                let profile = weather.dimensional_profile(maps, place, height_fraction);
                 weather.carved_density(noise, place, height_fraction, profile, detail_weight)
             }
             _ => self.solid_density(layer, place),
@@ -362,7 +363,7 @@ impl World {
                 let (Some(noise), Some(maps)) = (self.noise(), self.maps(layer)) else {
                     return 0.0;
                 };
-                let profile = weather.dimensional_profile(noise, maps, place, height_fraction);
+                let profile = weather.dimensional_profile(maps, place, height_fraction);
                 weather.smooth_density(noise, place, height_fraction, profile)
             }
             _ => self.solid_density(layer, place),

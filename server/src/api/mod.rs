@@ -1,6 +1,7 @@
 //! The HTTP interface: the scene, figures, health, the page, and the way to `/ws`.
 
 mod figures;
+mod maps;
 mod page;
 mod problem;
 mod scene;
@@ -35,6 +36,9 @@ pub const BODY_MAX_BYTES: usize = 64 * 1024;
 /// How long a request may take, its body included.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 
+/// The same for a map: up to 64 MiB, which wait for their turn to be read.
+const MAP_TIMEOUT: Duration = Duration::from_secs(120);
+
 /// The page loads its own modules and pictures, and talks to its own server.
 const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
      img-src 'self' blob: data:; connect-src 'self'; manifest-src 'self'; base-uri 'none'; \
@@ -53,12 +57,20 @@ pub fn router(context: Arc<StreamContext>) -> Router {
         .route("/readyz", get(ready))
         .fallback(page::serve)
         .method_not_allowed_fallback(method_not_allowed)
-        .with_state(context)
         .layer(RequestBodyLimitLayer::new(BODY_MAX_BYTES))
         .layer(TimeoutLayer::with_status_code(
             StatusCode::REQUEST_TIMEOUT,
             REQUEST_TIMEOUT,
         ))
+        .merge(
+            maps::routes()
+                .method_not_allowed_fallback(method_not_allowed)
+                .layer(TimeoutLayer::with_status_code(
+                    StatusCode::REQUEST_TIMEOUT,
+                    MAP_TIMEOUT,
+                )),
+        )
+        .with_state(context)
         .layer(CatchPanicLayer::custom(after_panic))
         .layer(map_response(problem::unify));
     security_headers()

@@ -59,6 +59,14 @@ impl Problem {
         problem
     }
 
+    /// The problem with another status.
+    #[must_use]
+    pub fn with_status(mut self, status: StatusCode) -> Self {
+        self.status = status.as_u16();
+        self.title = status.canonical_reason().unwrap_or("Error");
+        self
+    }
+
     /// The problem with a header for whoever tries again.
     #[must_use]
     pub fn with_header(mut self, name: axum::http::HeaderName, value: HeaderValue) -> Self {

@@ -13,7 +13,7 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde_json::Value;
 
-use super::Problem;
+use super::{Problem, maps};
 use crate::scene::{Precondition, ScenePatchError, SceneSnapshot};
 use crate::stream::StreamContext;
 
@@ -24,17 +24,25 @@ const ACCEPT_PATCH: HeaderName = HeaderName::from_static("accept-patch");
 pub(super) async fn get(State(context): State<Arc<StreamContext>>, headers: HeaderMap) -> Response {
     let snapshot = context.scene.snapshot();
     let tag = tag_of(snapshot.revision);
-    let is_known = headers
+    if is_known(&headers, &tag) {
+        return not_modified(tag);
+    }
+    document(&snapshot)
+}
+
+/// Whether the client says that it has what the tag stands for.
+pub(super) fn is_known(headers: &HeaderMap, tag: &str) -> bool {
+    headers
         .get_all(IF_NONE_MATCH)
         .iter()
         .filter_map(|header| header.to_str().ok())
         .flat_map(|list| list.split(','))
         .map(|item| item.trim().trim_start_matches("W/"))
-        .any(|item| item == "*" || item == tag);
-    if is_known {
-        return (StatusCode::NOT_MODIFIED, [(ETAG, tag)]).into_response();
-    }
-    document(&snapshot)
+        .any(|item| item == "*" || item == tag)
+}
+
+pub(super) fn not_modified(tag: String) -> Response {
+    (StatusCode::NOT_MODIFIED, [(ETAG, tag)]).into_response()
 }
 
 /// Changes the document.
@@ -71,7 +79,7 @@ pub(super) async fn patch(
     }
 }
 
-fn document(snapshot: &SceneSnapshot) -> Response {
+pub(super) fn document(snapshot: &SceneSnapshot) -> Response {
     (
         [
             (ETAG, tag_of(snapshot.revision)),
@@ -82,7 +90,7 @@ fn document(snapshot: &SceneSnapshot) -> Response {
         .into_response()
 }
 
-fn tag_of(revision: u64) -> String {
+pub(super) fn tag_of(revision: u64) -> String {
     format!("\"{revision}\"")
 }
 
@@ -105,7 +113,7 @@ fn check_content_type(headers: &HeaderMap) -> Result<(), Problem> {
     .with_header(ACCEPT, HeaderValue::from_static(MERGE_PATCH)))
 }
 
-fn read_precondition(headers: &HeaderMap) -> Result<Precondition, Problem> {
+pub(super) fn read_precondition(headers: &HeaderMap) -> Result<Precondition, Problem> {
     if !headers.contains_key(IF_MATCH) {
         return Err(Problem::new(
             StatusCode::PRECONDITION_REQUIRED,
@@ -133,7 +141,7 @@ fn read_precondition(headers: &HeaderMap) -> Result<Precondition, Problem> {
     Ok(Precondition::OneOf(revisions))
 }
 
-fn problem_of(error: ScenePatchError) -> Problem {
+pub(super) fn problem_of(error: ScenePatchError) -> Problem {
     match error {
         ScenePatchError::Stale { current } => {
             let problem = Problem::new(
@@ -146,6 +154,8 @@ fn problem_of(error: ScenePatchError) -> Problem {
             }
         }
         ScenePatchError::Invalid(error) => Problem::bad_value(error),
+        ScenePatchError::BadMap { pointer, error } => maps::map_problem(pointer, &error),
+        ScenePatchError::MapsFull { .. } => maps::full_problem(&error),
         ScenePatchError::NotKept(error) => {
             tracing::error!(%error, "the scene cannot be kept");
             Problem::new(

@@ -109,6 +109,19 @@ impl Caches {
         }
     }
 
+    /// The clouds have changed a little: every tile takes one more sample, and keeps what it shows.
+    pub fn refresh_all(&mut self) {
+        for sphere in self.spheres.values_mut() {
+            sphere.refresh_all();
+        }
+    }
+
+    /// Whether every wanted tile has had a sample since the clouds last changed.
+    #[must_use]
+    pub fn is_refreshed(&self) -> bool {
+        self.spheres.values().all(SphereCache::is_refreshed)
+    }
+
     /// A frame was composited for a cell: its wanted tiles were seen.
     pub fn frame_shown(&mut self, cell: CellId) {
         self.frame += 1;

@@ -25,6 +25,10 @@ pub(super) struct Tile {
     generation: u32,
     /// Reference point at the last sample, in the frame that drifts with the layer's wind.
     marched_from: DVec3,
+    /// How far the noise had risen through the clouds at the last sample, m.
+    evolved_m: f64,
+    /// How often the clouds had changed a little.
+    refreshes: u32,
     pub(super) last_seen_frame: u64,
 }
 
@@ -98,6 +102,10 @@ pub struct SphereCache {
     pub(super) tiles: HashMap<TileKey, Tile>,
     wanted: HashMap<TileKey, Want>,
     generation: u32,
+    /// How far the noise has risen through the clouds, m.
+    evolved_m: f64,
+    /// How often the clouds have changed a little.
+    refreshes: u32,
     /// Samples that texels average, if not as many as those of all spheres.
     samples: Option<u32>,
     /// Whether tables must be made anew.
@@ -108,6 +116,28 @@ impl SphereCache {
     /// Everything marched so far shows an older scene.
     pub fn age_all(&mut self) {
         self.generation = self.generation.wrapping_add(1);
+    }
+
+    /// The clouds have changed a little: every tile takes one more sample, weighed as those of a reference that has moved.
+    pub fn refresh_all(&mut self) {
+        self.refreshes = self.refreshes.wrapping_add(1);
+    }
+
+    /// How far the noise has risen through the clouds: tiles age by it as they do by a reference that moves as far.
+    pub fn set_evolved(&mut self, evolved_m: f64) {
+        self.evolved_m = evolved_m;
+    }
+
+    /// Whether every wanted tile has had a sample since the clouds last changed.
+    #[must_use]
+    pub fn is_refreshed(&self) -> bool {
+        self.wanted.keys().all(|key| {
+            self.shows_present(key)
+                && self
+                    .tiles
+                    .get(key)
+                    .is_some_and(|tile| tile.refreshes == self.refreshes)
+        })
     }
 
     /// Another number of samples that its texels average. More are added to those that are there.
@@ -239,7 +269,8 @@ impl SphereCache {
                 Some(_) if have == 0 && coarse => Urgency::Coarse,
                 Some(_) if have == 0 => Urgency::Stale,
                 Some(_) if have < samples => Urgency::Unfinished,
-                Some(tile) if age_rad(tile, reference, want.distance_m) > AGE_REFRESH_RAD => {
+                Some(tile) if tile.refreshes != self.refreshes => Urgency::Aged,
+                Some(tile) if self.age_rad(tile, reference, want.distance_m) > AGE_REFRESH_RAD => {
                     Urgency::Aged
                 }
                 Some(_) => continue,
@@ -263,6 +294,8 @@ impl SphereCache {
                 visits: 0,
                 generation: self.generation,
                 marched_from: DVec3::ZERO,
+                evolved_m: 0.0,
+                refreshes: self.refreshes,
                 last_seen_frame: frame,
             },
         );
@@ -276,9 +309,10 @@ impl SphereCache {
         reference: DVec3,
     ) -> Option<(Slot, u32, f32)> {
         let distance_m = self.wanted.get(&key).map_or(1.0, |want| want.distance_m);
+        let age_rad = self.age_rad(self.tiles.get(&key)?, reference, distance_m);
         let tile = self.tiles.get_mut(&key)?;
         let stale = tile.visits == 0 || tile.generation != self.generation;
-        if stale || age_rad(tile, reference, distance_m) > AGE_RESTART_RAD {
+        if stale || age_rad > AGE_RESTART_RAD {
             tile.samples = 0;
         }
         let weight = if tile.samples < samples {
@@ -298,7 +332,16 @@ impl SphereCache {
         tile.visits = tile.visits.wrapping_add(1).max(1);
         tile.generation = self.generation;
         tile.marched_from = reference;
+        tile.evolved_m = self.evolved_m;
+        tile.refreshes = self.refreshes;
         Some((tile.slot, index, weight))
+    }
+
+    /// How much of what a tile shows has moved since its last sample, as an angle: its reference, and the noise in it.
+    fn age_rad(&self, tile: &Tile, reference: DVec3, distance_m: f64) -> f64 {
+        let moved_m = tile.marched_from.distance(reference);
+        let evolved_m = (tile.evolved_m - self.evolved_m).abs();
+        (moved_m + evolved_m) / distance_m.max(1.0)
     }
 
     /// Takes a tile's slot away.
@@ -361,8 +404,4 @@ impl SphereCache {
         }
         tables
     }
-}
-
-fn age_rad(tile: &Tile, reference: DVec3, distance_m: f64) -> f64 {
-    tile.marched_from.distance(reference) / distance_m.max(1.0)
 }

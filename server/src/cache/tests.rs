@@ -174,3 +174,48 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_small_change_takes_one_sample_of_every_tile_and_keeps_what_it_shows() {
+    let mut caches = Caches::new(100, 8);
+    let tiles = [request(tile(1, 0, 0)), request(tile(1, 1, 0))];
+    caches.sphere_mut(SPHERE).set_wanted(&[], &tiles);
+    assert!(!caches.is_refreshed());
+    assert_eq!(updates_until_converged(&mut caches), 16);
+    assert!(caches.is_refreshed());
+    caches.refresh_all();
+    assert!(!caches.is_refreshed());
+    for update in caches.plan(9, at_origin) {
+        assert!(update.weight < 0.5, "{}", update.weight);
+    }
+    assert!(caches.is_refreshed());
+    assert!(!caches.has_work(at_origin));
+}
+
+#[test]
+fn noise_that_rises_ages_tiles_as_a_reference_that_moves_as_far() {
+    let mut caches = Caches::new(100, 8);
+    let wanted = request(tile(1, 0, 0));
+    caches.sphere_mut(SPHERE).set_wanted(&[], &[wanted]);
+    updates_until_converged(&mut caches);
+    let refresh_m = sphere::AGE_REFRESH_RAD * wanted.distance_m;
+    caches.sphere_mut(SPHERE).set_evolved(0.99 * refresh_m);
+    assert!(!caches.has_work(at_origin));
+    caches.sphere_mut(SPHERE).set_evolved(1.01 * refresh_m);
+    let updates = caches.plan(9, at_origin);
+    assert!(updates.len() == 1 && updates[0].weight < 0.5);
+    assert!(!caches.has_work(at_origin));
+    // So far that old and new samples show other clouds.
+    let restart_m = sphere::AGE_RESTART_RAD * wanted.distance_m;
+    caches
+        .sphere_mut(SPHERE)
+        .set_evolved(1.01 * (refresh_m + restart_m));
+    assert_eq!(caches.plan(9, at_origin)[0].weight, 1.0);
+    // A reference that rises with the noise does not hide it.
+    updates_until_converged(&mut caches);
+    caches
+        .sphere_mut(SPHERE)
+        .set_evolved(3.0 * (refresh_m + restart_m));
+    let risen = move |_: SphereId| Some(DVec3::Y * 2.0 * (refresh_m + restart_m));
+    assert!(caches.has_work(risen));
+}

@@ -83,6 +83,8 @@ pub struct RenderConfig {
     pub noise_cache_dir: PathBuf,
     /// Where the files of voxels lie that scenes name: `grids` in the folder of the state.
     pub grids_dir: PathBuf,
+    /// Where the files of maps lie that scenes name: `maps` in the folder of the state.
+    pub maps_dir: PathBuf,
 }
 
 /// How caches are read for a frame.
@@ -122,6 +124,7 @@ impl RenderConfig {
             march_steps: None,
             frame_filter: None,
             grids_dir: noise_cache_dir.join("grids"),
+            maps_dir: noise_cache_dir.join("maps"),
             noise_cache_dir,
         }
     }
@@ -164,6 +167,7 @@ impl RenderConfig {
                 .optional::<String>("noise_cache_dir")?
                 .map_or(default.noise_cache_dir, PathBuf::from),
             grids_dir: default.grids_dir,
+            maps_dir: default.maps_dir,
         })
     }
 }
@@ -236,6 +240,7 @@ impl Config {
             log: "info".to_owned(),
             render: RenderConfig {
                 grids_dir: state_dir.join("grids"),
+                maps_dir: state_dir.join("maps"),
                 ..RenderConfig::new(state_dir.join("cache"))
             },
             cells: Vec::new(),

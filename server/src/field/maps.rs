@@ -1,6 +1,7 @@
 //! Coverage and type maps of a weather layer, made from noise in the manner of P. Ford 2024, 4.2.1, and the distance to
 //! the nearest possible cloud, which lets a ray cross clear sky in one step.
 
+use super::layer_maps::MapFormat;
 use super::noise::{billow, octaves, perlin};
 use rayon::prelude::*;
 
@@ -79,18 +80,32 @@ fn threshold(layer_coverage: f64) -> f64 {
     1.0 + (-COVERAGE_SOFTNESS - 1.0) * layer_coverage
 }
 
+/// What the skip channel counts to.
+pub(super) const SKIP_LEVELS: u8 = 255;
+
+/// Layer coverages are taken up to the next of so many steps before skips are made, so that a coverage that grows slowly
+/// asks for new ones seldom. Less is skipped then, never too much.
+const SKIP_COVERAGE_STEPS: f64 = 64.0;
+
+/// The coverage that skips are made for: not below the layer's own.
+#[must_use]
+pub fn skip_coverage(layer_coverage: f64) -> f64 {
+    (layer_coverage * SKIP_COVERAGE_STEPS).ceil() / SKIP_COVERAGE_STEPS
+}
+
 /// Distance from every texel to the nearest place that can hold cloud, in 255ths of a quarter of the map's span,
 /// rounded down and shortened by what bilinear reads of both maps may add, so that a ray never steps into a cloud.
+/// `coverage` is in 65 535ths, read in `format`; the layer's own is taken up to [`skip_coverage`].
 #[must_use]
-pub fn skip_distances(coverage: &[u8], layer_coverage: f64) -> Vec<u8> {
-    let limit = threshold(layer_coverage);
+pub fn skip_distances(coverage: &[u16], format: MapFormat, layer_coverage: f64) -> Vec<u8> {
+    let limit = threshold(skip_coverage(layer_coverage));
     let size = MAP_SIZE as usize;
     let range = (SKIP_RANGE_SHARE * f64::from(MAP_SIZE)) as usize;
     let far = (range * range) as f32;
     let seeds: Vec<f32> = coverage
         .iter()
         .map(|c| {
-            if f64::from(*c) / 255.0 > limit {
+            if f64::from(format.value(*c)) > limit {
                 0.0
             } else {
                 far
@@ -114,7 +129,7 @@ pub fn skip_distances(coverage: &[u8], layer_coverage: f64) -> Vec<u8> {
     (0..size * size)
         .map(|i| {
             let texels = (columns[i % size][i / size].min(far).sqrt() - margin).max(0.0);
-            (texels / range as f32 * 255.0).floor() as u8
+            (texels / range as f32 * f32::from(SKIP_LEVELS)).floor() as u8
         })
         .collect()
 }
@@ -161,10 +176,10 @@ fn squared_distances(line: &[f32], range: usize) -> impl Iterator<Item = f32> + 
 mod tests {
     use super::*;
 
-    fn one_cloud(at: (usize, usize)) -> Vec<u8> {
+    fn one_cloud(at: (usize, usize)) -> Vec<u16> {
         let size = MAP_SIZE as usize;
-        let mut coverage = vec![0u8; size * size];
-        coverage[at.1 * size + at.0] = 255;
+        let mut coverage = vec![0u16; size * size];
+        coverage[at.1 * size + at.0] = u16::MAX;
         coverage
     }
 
@@ -172,7 +187,7 @@ mod tests {
     fn skips_never_reach_a_cloud() {
         let size = MAP_SIZE as usize;
         let (cx, cy) = (10usize, 1000usize);
-        let skips = skip_distances(&one_cloud((cx, cy)), 0.5);
+        let skips = skip_distances(&one_cloud((cx, cy)), MapFormat::Bytes, 0.5);
         for y in (0..size).step_by(7) {
             for x in (0..size).step_by(5) {
                 let wrap = |a: usize, b: usize| {
@@ -194,9 +209,12 @@ mod tests {
 
     #[test]
     fn full_coverage_leaves_nothing_to_skip_and_none_leaves_everything() {
-        let coverage = vec![10u8; (MAP_SIZE * MAP_SIZE) as usize];
-        assert!(skip_distances(&coverage, 1.0).iter().all(|s| *s == 0));
-        assert!(skip_distances(&coverage, 0.0).iter().all(|s| *s > 250));
+        let coverage = vec![10 * 257u16; (MAP_SIZE * MAP_SIZE) as usize];
+        for format in [MapFormat::Bytes, MapFormat::Halves] {
+            let skips = |layer_coverage| skip_distances(&coverage, format, layer_coverage);
+            assert!(skips(1.0).iter().all(|s| *s == 0));
+            assert!(skips(0.0).iter().all(|s| *s > 250));
+        }
     }
 
     #[test]

@@ -1,15 +1,27 @@
 //! Noise and maps kept on disk: made once, found by their parameters.
 
+use super::layer_maps::LayerMaps;
+use super::map_file::{GreyMap, MapFileError, read_map_file};
 use super::maps::{MAP_SIZE, WeatherMaps};
+use super::profile::{PROFILE_SIZE, profile_texels};
+use super::resample::device_texels;
 use super::volumes::{NoiseVolume, VolumeKind};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use skycell_protocol::scene::{MapKind, WeatherDensity};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use xxhash_rust::xxh3::xxh3_64;
+use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
 /// Changes with the formulas of this module's noise: old files are then no longer found.
 const GENERATOR_VERSION: u32 = 4;
+
+/// Changes with how maps from files are brought to the device's size.
+const RESAMPLER_VERSION: u32 = 1;
+
+/// Maps from files that are kept as the device reads them, the last used: those of four layers four times over.
+const DRAWN_MAPS_MAX: usize = 48;
+const DRAWN_PREFIX: &str = "drawn-";
 
 /// Where noise and maps are kept. Without a folder they are made anew each time.
 #[derive(Clone, Debug)]
@@ -52,6 +64,99 @@ impl FieldStore {
         }
     }
 
+    /// A map from a file of a folder as the device reads it, in 65 535ths. What was read once is found by its content.
+    ///
+    /// # Errors
+    /// When the file is no map.
+    pub fn map_file(
+        &self,
+        folder: &Path,
+        file: &str,
+        kind: MapKind,
+    ) -> Result<Vec<u16>, MapFileError> {
+        self.map_of_bytes(&read_map_file(folder, file)?, kind)
+    }
+
+    /// As [`Self::map_file`], of a file's content.
+    ///
+    /// # Errors
+    /// When it is no map.
+    pub fn map_of_bytes(&self, bytes: &[u8], kind: MapKind) -> Result<Vec<u16>, MapFileError> {
+        let texels = match kind {
+            MapKind::Coverage | MapKind::Type => (MAP_SIZE as usize).pow(2),
+            MapKind::Profile => PROFILE_SIZE.map(|n| n as usize).iter().product(),
+        };
+        // Coverage and type are resampled alike.
+        let shape = if kind == MapKind::Profile {
+            "profile"
+        } else {
+            "map"
+        };
+        let content = xxh3_128(bytes);
+        let key = format!("{DRAWN_PREFIX}{shape}-{content:032x}-v{RESAMPLER_VERSION}.bin");
+        let path = self.folder.as_ref().map(|folder| folder.join(key));
+        if let Some(found) = path.as_deref().and_then(|path| read(path, 2 * texels)) {
+            return Ok(found
+                .chunks_exact(2)
+                .map(|two| u16::from_le_bytes([two[0], two[1]]))
+                .collect());
+        }
+        let made = device_texels(&GreyMap::decode(bytes)?, kind);
+        if let Some(path) = path {
+            let raw: Vec<u8> = made.iter().flat_map(|texel| texel.to_le_bytes()).collect();
+            if let Err(error) = write(&path, &raw) {
+                tracing::warn!(path = %path.display(), %error, "a map is not kept on disk");
+            }
+            forget_old_maps(path.parent().unwrap_or_else(|| Path::new(".")));
+        }
+        Ok(made)
+    }
+
+    /// The maps that a layer has without files.
+    #[must_use]
+    pub fn generated_maps(&self, weather: &WeatherDensity) -> LayerMaps {
+        let wide = |bytes: &[u8]| bytes.iter().map(|byte| u16::from(*byte) * 257).collect();
+        let made = self.weather_maps(weather.seed());
+        LayerMaps {
+            coverage: wide(&made.coverage),
+            cloud_type: wide(&made.cloud_type),
+            profile: wide(&profile_texels()),
+        }
+    }
+
+    /// All maps of a layer: from files in a folder where it names some, else from its seed.
+    ///
+    /// # Errors
+    /// When a file is no map.
+    pub fn layer_maps(
+        &self,
+        weather: &WeatherDensity,
+        folder: &Path,
+    ) -> Result<LayerMaps, MapFileError> {
+        let drawn = |kind: MapKind| {
+            weather
+                .maps()
+                .file(kind)
+                .map(|file| self.map_file(folder, file, kind))
+                .transpose()
+        };
+        let drawn = [
+            drawn(MapKind::Coverage)?,
+            drawn(MapKind::Type)?,
+            drawn(MapKind::Profile)?,
+        ];
+        let mut maps = self.generated_maps(weather);
+        for (map, drawn) in [&mut maps.coverage, &mut maps.cloud_type, &mut maps.profile]
+            .into_iter()
+            .zip(drawn)
+        {
+            if let Some(drawn) = drawn {
+                *map = drawn;
+            }
+        }
+        Ok(maps)
+    }
+
     fn load_or_make(
         &self,
         key: &str,
@@ -91,6 +196,29 @@ impl FieldStore {
             tracing::warn!(path = %path.display(), %error, "noise is not kept on disk");
         }
         made
+    }
+}
+
+/// Removes all but the youngest maps that were made from files.
+fn forget_old_maps(folder: &Path) {
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return;
+    };
+    let mut maps: Vec<(std::time::SystemTime, PathBuf)> = entries
+        .flatten()
+        .filter(|entry| {
+            entry
+                .file_name()
+                .to_string_lossy()
+                .starts_with(DRAWN_PREFIX)
+        })
+        .filter_map(|entry| Some((entry.metadata().ok()?.modified().ok()?, entry.path())))
+        .collect();
+    maps.sort();
+    let many = maps.len().saturating_sub(DRAWN_MAPS_MAX);
+    for (_, path) in maps.into_iter().take(many) {
+        // Another process may have been faster; what is left is removed next time.
+        let _ = std::fs::remove_file(path);
     }
 }
 

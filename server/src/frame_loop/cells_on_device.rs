@@ -132,14 +132,14 @@ impl SkyRenderer {
     pub(super) fn anchor_m(&self, cell: &ActiveCell, layer: usize) -> DVec3 {
         let anchor = cell.anchors[layer];
         let drift = self.drifts[self.active[layer].scene_index] - anchor.drift_at_start_m;
-        cell.frame.from_world(anchor.at_start_m + drift)
+        cell.frame.from_world(anchor.at_start_m + drift.with_y(0.0))
     }
 
     /// Reference point of a sphere in the frame that drifts with its layer.
     pub(super) fn drifting_reference(&self, sphere: SphereId) -> Option<DVec3> {
         let cell = self.active_cells.get(&sphere.cell)?;
         let layer = self.active.get(sphere.layer as usize)?;
-        Some(cell.reference_m - self.drifts[layer.scene_index])
+        Some(cell.reference_m - self.drifts[layer.scene_index].with_y(0.0))
     }
 
     /// Brings everything that the caches and the device know of cells up to the present: anchors that have drifted,
@@ -234,6 +234,11 @@ impl SkyRenderer {
             }
             cell.requests_changed = false;
         }
+        for (layer, active) in (0..).zip(&self.active) {
+            self.caches
+                .sphere_mut(SphereId { cell: id, layer })
+                .set_evolved(self.drifts[active.scene_index].y);
+        }
         let changed = (0..self.active.len() as u32).any(|layer| {
             self.caches
                 .sphere_mut(SphereId { cell: id, layer })
@@ -309,7 +314,7 @@ impl SkyRenderer {
     pub(super) fn cell_drift(&self, id: CellId) -> Option<(DVec3, DVec3)> {
         let cell = self.active_cells.get(&id)?;
         let drift = cell.anchors.first().map_or(DVec3::ZERO, |anchor| {
-            self.drifts[self.active[0].scene_index] - anchor.drift_at_start_m
+            (self.drifts[self.active[0].scene_index] - anchor.drift_at_start_m).with_y(0.0)
         });
         Some((drift, cell.reference_m))
     }

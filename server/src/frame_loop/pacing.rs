@@ -6,7 +6,7 @@ use super::interface::{
 };
 use super::renderer::SkyRenderer;
 use crate::config::{PlacedCell, RenderConfig};
-use crate::gpu::{Gpu, GpuError, TimedPass};
+use crate::gpu::{BlendStep, Gpu, GpuError, TimedPass};
 use skycell_protocol::{RendererKind, Scene, ViewerId};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -36,6 +36,10 @@ const MOVING_FOR: Duration = Duration::from_millis(500);
 const COARSE_WAIT: Duration = Duration::from_millis(500);
 /// The sky must have moved this share of a pixel before a resting view is composited again.
 const MOTION_PIXELS: f64 = 0.25;
+/// Maps that are on their way to others take a step this often at most: steps of a slow change are not seen.
+const BLEND_INTERVAL: Duration = Duration::from_millis(250);
+/// They take one after this long though some tile still shows the step before: time goes on for those who look.
+const BLEND_WAIT_MAX: Duration = Duration::from_secs(2);
 /// Figures are published this often.
 const STATS_INTERVAL: Duration = Duration::from_millis(100);
 /// Time of a tile's march before any was measured.
@@ -82,6 +86,8 @@ pub struct FrameLoop {
     was_pending: bool,
     /// When texels are audited next, if any are left.
     audit_due: Instant,
+    /// When maps took their last step on their way to others.
+    blended: Instant,
     /// Device time that may be marched before frames come first again, s. Negative after a batch that was longer.
     march_credit_s: f64,
 }
@@ -130,6 +136,7 @@ impl FrameLoop {
             cache_time_seen: (0, 0),
             was_pending: false,
             audit_due: now,
+            blended: now,
             march_credit_s: 0.0,
         };
         let ready = frame_loop.stats.ready();
@@ -244,6 +251,7 @@ impl FrameLoop {
         }
         self.renderer.consider_budgets(now);
         self.note_wind(now);
+        self.step_maps(now);
         self.renderer.refresh_cells();
         let due = self.due_viewers(now);
         if !due.is_empty() {
@@ -257,10 +265,31 @@ impl FrameLoop {
         self.next_wait(now, marched)
     }
 
+    /// Maps go on to others, when everything has been marched since their last step.
+    fn step_maps(&mut self, now: Instant) {
+        if !self.renderer.field.maps_are_blending() {
+            return;
+        }
+        let waited = now.duration_since(self.blended);
+        if waited < BLEND_INTERVAL
+            || (waited < BLEND_WAIT_MAX && !self.renderer.caches.is_refreshed())
+        {
+            return;
+        }
+        self.blended = now;
+        if self.renderer.step_maps() != BlendStep::None {
+            for pace in self.paces.values_mut() {
+                pace.change = Change::Seen;
+            }
+        }
+    }
+
     /// Wind moves what resting viewers see.
     fn note_wind(&mut self, now: Instant) {
         let wind_m_per_s = self.renderer.wind_speed_max_m_per_s();
-        if wind_m_per_s == 0.0 {
+        // Texels that are marched anew show it to those who read the cache.
+        let evolution_m_per_s = self.renderer.evolution_max_m_per_s();
+        if wind_m_per_s + evolution_m_per_s == 0.0 {
             return;
         }
         let nearest_m = self
@@ -278,7 +307,11 @@ impl FrameLoop {
             let pixel_rad = (camera.vertical_fov_deg().to_radians() / 2.0).tan() * 2.0
                 / f64::from(viewer.view.size.height());
             let height_m = (nearest_m - camera.position_m()[1]).abs().max(100.0);
-            let moved_rad = wind_m_per_s * now.duration_since(last).as_secs_f64() / height_m;
+            let speed_m_per_s = match viewer.kind {
+                RendererKind::ScreenSpace => wind_m_per_s + evolution_m_per_s,
+                RendererKind::Cached => wind_m_per_s,
+            };
+            let moved_rad = speed_m_per_s * now.duration_since(last).as_secs_f64() / height_m;
             if moved_rad > MOTION_PIXELS * pixel_rad {
                 pace.change = Change::Seen;
             }
@@ -428,10 +461,10 @@ impl FrameLoop {
 
     /// The most frames a second that a viewer wants who moves or sees the wind blow; 0 when all rests.
     fn hurried_fps(&self, now: Instant) -> f64 {
-        let windy = self.renderer.wind_speed_max_m_per_s() > 0.0;
+        let changing = self.renderer.sky_is_changing();
         self.paces
             .iter()
-            .filter(|(_, pace)| windy || now.duration_since(pace.moved) < MOVING_FOR)
+            .filter(|(_, pace)| changing || now.duration_since(pace.moved) < MOVING_FOR)
             .filter_map(|(id, _)| self.renderer.viewers.get(id))
             .map(|viewer| viewer.view.fps)
             .fold(0.0, f64::max)
@@ -511,8 +544,7 @@ impl FrameLoop {
             return Duration::ZERO;
         }
         let next = self.next_due();
-        let windy = self.renderer.wind_speed_max_m_per_s() > 0.0;
-        let rest = if windy {
+        let rest = if self.renderer.sky_is_changing() {
             Duration::from_millis(20)
         } else {
             IDLE_INTERVAL

@@ -12,14 +12,15 @@ use crate::composite::{Picture, composite_key, ground_key, with_shared_backgroun
 use crate::config::{FrameFilter, PlacedCell, RenderConfig};
 use crate::field::FieldStore;
 use crate::gpu::{
-    DeviceInventory, FieldTextures, Gpu, GpuError, PipelineKey, Pipelines, TimingRing,
+    BlendStep, DeviceInventory, FieldTextures, Gpu, GpuError, PipelineKey, Pipelines, TimingRing,
+    blend_key,
 };
 use crate::march::{
     ActiveLayer, Atlas, MarchSettings, SkyLight, TexelMarch, active_layers, audit_key,
-    layer_features, pixels_key, sky_light, texels_key,
+    drift_m_per_s, layer_features, pixels_key, placed_weather, sky_light, texels_key,
 };
 use glam::DVec3;
-use skycell_protocol::scene::DensityModel;
+use skycell_protocol::scene::CloudLayer;
 use skycell_protocol::{Camera, CellId, RendererKind, Scene, ViewerId};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -156,9 +157,17 @@ impl SkyRenderer {
                 cell.buffers.set_field_group(&self.field.bind_group);
             }
         }
-        for (place, layer) in (0..).zip(&active) {
-            if let DensityModel::Weather(weather) = scene.layers()[layer.scene_index].density() {
-                self.field.set_map(&self.gpu, place, weather);
+        let maps = placed_weather(&scene, &active);
+        if maps.iter().any(|m| m.weather.maps().transition_s() > 0.0) {
+            self.pipelines.prepare(&self.gpu, blend_key())?;
+        }
+        let layout = &self.pipelines.field_layout;
+        let maps_change = self
+            .field
+            .set_maps(&self.gpu, layout, &maps, &self.config.maps_dir);
+        if maps_change.textures {
+            for cell in self.active_cells.values_mut() {
+                cell.buffers.set_field_group(&self.field.bind_group);
             }
         }
         let cloud_altitude_m = active.first().map_or(0.0, |layer| layer.proxy_altitude_m);
@@ -174,7 +183,7 @@ impl SkyRenderer {
             for id in ids {
                 self.restart_cell(id);
             }
-        } else if marches_differ(&old, &self.scene) {
+        } else if maps_change.content || marches_differ(&old, &self.scene) {
             self.caches.age_all();
         }
         let views: Vec<(ViewerId, ViewRequest)> =
@@ -234,11 +243,48 @@ impl SkyRenderer {
         Ok(())
     }
 
-    /// Wind carries the layers for a while.
+    /// Wind carries the layers for a while, their noise rises, maps go on to others.
     pub(super) fn advance_time(&mut self, seconds: f64) {
         for (index, drift) in self.drifts.iter_mut().enumerate() {
-            *drift += self.scene.layer_wind(index).velocity_m_per_s() * seconds;
+            *drift += drift_m_per_s(&self.scene, index) * seconds;
         }
+        self.field.advance_maps(seconds);
+    }
+
+    /// Lets marches read maps as far on their way to others as sky time is, and ages what was marched before: step by
+    /// step a little, and in the end all of it.
+    pub(super) fn step_maps(&mut self) -> BlendStep {
+        let step = self
+            .field
+            .show_maps(&self.gpu, &mut self.pipelines)
+            .unwrap_or_else(|error| {
+                tracing::error!(%error, "maps cannot be blended");
+                BlendStep::None
+            });
+        match step {
+            BlendStep::None => {}
+            BlendStep::Moved => self.caches.refresh_all(),
+            BlendStep::Ended => {
+                self.caches.age_all();
+                self.audit.restart();
+            }
+        }
+        step
+    }
+
+    /// Whether clouds change by themselves: by wind, by evolution, or because maps are on their way to others.
+    pub(super) fn sky_is_changing(&self) -> bool {
+        self.wind_speed_max_m_per_s() > 0.0
+            || self.evolution_max_m_per_s() > 0.0
+            || self.field.maps_are_blending()
+    }
+
+    /// Fastest evolution of a layer that is shown, m/s.
+    pub(super) fn evolution_max_m_per_s(&self) -> f64 {
+        self.active
+            .iter()
+            .map(|layer| drift_m_per_s(&self.scene, layer.scene_index).y.abs())
+            .fold(0.0, f64::max)
     }
 
     /// Fastest wind of a layer that is shown, m/s.
@@ -274,10 +320,12 @@ pub(super) fn frame_key(
     }
 }
 
-/// Whether what texels hold depends on what differs. The sun's colour, the exposure, the ground and the air do not: they
+/// Whether what texels hold depends on what differs, but for maps, of which the device knows. The sun's colour, the exposure, the ground and the air do not: they
 /// are applied where texels are shown.
 fn marches_differ(old: &Scene, new: &Scene) -> bool {
-    old.layers() != new.layers()
+    let same = |(old, new): (&CloudLayer, &CloudLayer)| old.is_same_but_for_maps(new);
+    old.layers().len() != new.layers().len()
+        || !old.layers().iter().zip(new.layers()).all(same)
         || old.light() != new.light()
         || old.sun().direction() != new.sun().direction()
 }

@@ -397,6 +397,7 @@ impl Start {
         // Pipelines for other settings.
         let (scene, revision) = (renderer.scene.clone(), renderer.scene_revision + 1);
         renderer.set_scene(scene, revision)?;
+        renderer.step_maps();
         let counter = &renderer.pipelines.read_counter;
         renderer.gpu.queue.write_buffer(counter, 0, &[0; 8]);
         Ok(Self {

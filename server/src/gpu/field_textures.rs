@@ -1,21 +1,17 @@
 //! The cloud field on the device.
 
-use super::Gpu;
-use crate::field::{
-    FieldStore, MAP_SIZE, PROFILE_SIZE, VolumeKind, VoxelGrid, load_grid, profile_texels,
-    skip_distances,
-};
+use super::map_textures::{BlendStep, MapTextures, MapsChange, PlacedWeather, blend_key};
+use super::pipelines::Pipelines;
+use super::{Gpu, GpuError};
+use crate::field::{FieldStore, VolumeKind, VoxelGrid, load_grid};
 use skycell_protocol::Scene;
-use skycell_protocol::scene::{DensityModel, GridDensity, WeatherDensity};
-use std::collections::HashMap;
+use skycell_protocol::scene::{DensityModel, GridDensity};
 use std::path::Path;
 
 /// Seed of the noise volumes: the same for every scene, the scene's seeds are those of its maps.
 const VOLUME_SEED: u32 = 1;
-/// Layers of the map array.
-const MAPS: u32 = 4;
 
-/// Noise volumes, profile and the maps of up to four layers.
+/// Noise volumes, and the maps of up to four layers.
 #[derive(Debug)]
 pub struct FieldTextures {
     /// Group 1 of the marching kernels.
@@ -23,18 +19,14 @@ pub struct FieldTextures {
     fixed: FixedTextures,
     /// The grids whose voxels are on the device.
     held_grids: Vec<GridDensity>,
-    maps: wgpu::Texture,
-    /// What each map holds: seed and coverage of the layer whose map it is.
-    held: [Option<(u32, f64)>; MAPS as usize],
-    coverage_and_type: HashMap<u32, crate::field::WeatherMaps>,
+    grids: wgpu::Texture,
+    maps: MapTextures,
     store: FieldStore,
 }
 
 /// What stays for as long as the device does.
 #[derive(Debug)]
 struct FixedTextures {
-    maps: wgpu::TextureView,
-    profile: wgpu::TextureView,
     shape: wgpu::TextureView,
     detail: wgpu::TextureView,
     repeat: wgpu::Sampler,
@@ -46,11 +38,13 @@ impl FixedTextures {
         &self,
         gpu: &Gpu,
         layout: &wgpu::BindGroupLayout,
+        maps: &MapTextures,
         grids: &wgpu::Texture,
     ) -> wgpu::BindGroup {
+        let [maps, profile] = maps.views();
         let resources = [
-            wgpu::BindingResource::TextureView(&self.maps),
-            wgpu::BindingResource::TextureView(&self.profile),
+            wgpu::BindingResource::TextureView(&maps),
+            wgpu::BindingResource::TextureView(&profile),
             wgpu::BindingResource::TextureView(&self.shape),
             wgpu::BindingResource::TextureView(&self.detail),
             wgpu::BindingResource::Sampler(&self.repeat),
@@ -129,31 +123,6 @@ impl FieldTextures {
         };
         let shape = volume(VolumeKind::Shape);
         let detail = volume(VolumeKind::Detail);
-        let profile_extent = wgpu::Extent3d {
-            width: PROFILE_SIZE[0],
-            height: PROFILE_SIZE[1],
-            depth_or_array_layers: 1,
-        };
-        let profile = texture(
-            gpu,
-            "profile",
-            profile_extent,
-            wgpu::TextureDimension::D2,
-            wgpu::TextureFormat::R8Unorm,
-        );
-        upload(gpu, &profile, 0, profile_extent, &profile_texels(), 1);
-        let maps_extent = wgpu::Extent3d {
-            width: MAP_SIZE,
-            height: MAP_SIZE,
-            depth_or_array_layers: MAPS,
-        };
-        let maps = texture(
-            gpu,
-            "maps",
-            maps_extent,
-            wgpu::TextureDimension::D2,
-            wgpu::TextureFormat::Rgba8Unorm,
-        );
         let sampler = |mode: wgpu::AddressMode| {
             gpu.device.create_sampler(&wgpu::SamplerDescriptor {
                 label: Some("field"),
@@ -165,25 +134,19 @@ impl FieldTextures {
                 ..Default::default()
             })
         };
-        let maps_view = maps.create_view(&wgpu::TextureViewDescriptor {
-            dimension: Some(wgpu::TextureViewDimension::D2Array),
-            ..Default::default()
-        });
         let fixed = FixedTextures {
-            maps: maps_view,
-            profile: view(&profile),
             shape: view(&shape),
             detail: view(&detail),
             repeat: sampler(wgpu::AddressMode::Repeat),
             clamp: sampler(wgpu::AddressMode::ClampToEdge),
         };
+        let (maps, grids) = (MapTextures::new(gpu), grids_texture(gpu, &[]));
         Self {
-            bind_group: fixed.bind_group(gpu, layout, &grids_texture(gpu, &[])),
+            bind_group: fixed.bind_group(gpu, layout, &maps, &grids),
             fixed,
             held_grids: Vec::new(),
+            grids,
             maps,
-            held: [None; MAPS as usize],
-            coverage_and_type: HashMap::new(),
             store,
         }
     }
@@ -220,9 +183,8 @@ impl FieldTextures {
                 })
             })
             .collect();
-        self.bind_group = self
-            .fixed
-            .bind_group(gpu, layout, &grids_texture(gpu, &voxels));
+        self.grids = grids_texture(gpu, &voxels);
+        self.bind_group = self.fixed.bind_group(gpu, layout, &self.maps, &self.grids);
         self.held_grids = wanted;
         true
     }
@@ -233,40 +195,51 @@ impl FieldTextures {
         &self.store
     }
 
-    /// Puts the maps of a weather layer into one of the four places, when they are not there yet.
-    pub fn set_map(&mut self, gpu: &Gpu, place: u32, weather: &WeatherDensity) {
-        let wanted = Some((weather.seed(), weather.coverage()));
-        let Some(held) = self.held.get_mut(place as usize) else {
-            return;
-        };
-        if *held == wanted {
-            return;
+    /// Puts the maps of weather layers where they are wanted; files are looked for in a folder. The bind group is a new
+    /// one when the change says that the textures are.
+    pub fn set_maps(
+        &mut self,
+        gpu: &Gpu,
+        layout: &wgpu::BindGroupLayout,
+        wanted: &[PlacedWeather<'_>],
+        folder: &Path,
+    ) -> MapsChange {
+        let change = self.maps.set(gpu, &self.store, folder, wanted);
+        if change.textures {
+            self.bind_group = self.fixed.bind_group(gpu, layout, &self.maps, &self.grids);
         }
-        *held = wanted;
-        let used: Vec<u32> = self.held.iter().flatten().map(|(seed, _)| *seed).collect();
-        self.coverage_and_type.retain(|seed, _| used.contains(seed));
-        let maps = self
-            .coverage_and_type
-            .entry(weather.seed())
-            .or_insert_with(|| self.store.weather_maps(weather.seed()));
-        let skips = skip_distances(&maps.coverage, weather.coverage());
-        let texels: Vec<u8> = maps
-            .coverage
-            .iter()
-            .zip(&maps.cloud_type)
-            .zip(&skips)
-            .flat_map(|((coverage, cloud_type), skip)| [*coverage, *cloud_type, *skip, 0])
-            .collect();
-        let extent = wgpu::Extent3d {
-            width: MAP_SIZE,
-            height: MAP_SIZE,
-            depth_or_array_layers: 1,
-        };
-        upload(gpu, &self.maps, place, extent, &texels, 4);
+        change
+    }
+
+    /// Sky time passes for maps that are on their way to others.
+    pub fn advance_maps(&mut self, seconds: f64) {
+        self.maps.advance(seconds);
+    }
+
+    /// Whether maps are on their way to others.
+    #[must_use]
+    pub fn maps_are_blending(&self) -> bool {
+        self.maps.is_blending()
+    }
+
+    /// Lets marches read maps as far on their way as sky time is.
+    ///
+    /// # Errors
+    /// When the pass does not compose.
+    pub fn show_maps(
+        &mut self,
+        gpu: &Gpu,
+        pipelines: &mut Pipelines,
+    ) -> Result<BlendStep, GpuError> {
+        if !self.maps.is_blending() {
+            return Ok(BlendStep::None);
+        }
+        pipelines.prepare(gpu, blend_key())?;
+        self.maps.show(gpu, pipelines)
     }
 }
 
-fn texture(
+pub(super) fn texture(
     gpu: &Gpu,
     label: &str,
     size: wgpu::Extent3d,
@@ -285,7 +258,7 @@ fn texture(
     })
 }
 
-fn upload(
+pub(super) fn upload(
     gpu: &Gpu,
     texture: &wgpu::Texture,
     layer: u32,

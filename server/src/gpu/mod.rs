@@ -4,6 +4,7 @@
 mod device;
 mod field_textures;
 mod inventory;
+mod map_textures;
 mod pipelines;
 mod readback;
 mod timing;
@@ -11,6 +12,8 @@ mod timing;
 pub use device::{AdapterReport, Gpu, GpuError};
 pub use field_textures::FieldTextures;
 pub use inventory::{DeviceInventory, ResourceStats, reads_of};
+pub(crate) use map_textures::blend_key;
+pub use map_textures::{BlendStep, MapsChange, PlacedWeather};
 pub use pipelines::{PipelineKey, Pipelines};
 pub use readback::{MappedPixels, ReadbackRing, read_buffer_blocking};
 pub use timing::{TimedPass, TimingRing};

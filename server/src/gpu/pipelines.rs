@@ -39,6 +39,8 @@ pub struct Pipelines {
     pub points_layout: wgpu::BindGroupLayout,
     /// Group 3 of the field's probe: what is asked.
     pub question_layout: wgpu::BindGroupLayout,
+    /// Group 0 of the pass that blends maps.
+    pub blend_layout: wgpu::BindGroupLayout,
     empty_layout: wgpu::BindGroupLayout,
     /// Stands where a kernel has no group.
     pub empty_group: wgpu::BindGroup,
@@ -149,7 +151,7 @@ impl Pipelines {
                 "field",
                 &[
                     sampled(D2Array, true),
-                    sampled(D2, true),
+                    sampled(D2Array, true),
                     sampled(D3, true),
                     sampled(D3, true),
                     SAMPLER,
@@ -200,6 +202,11 @@ impl Pipelines {
             picture_layout: layout(gpu, "picture", &[uniform(), storage(false), storage(true)]),
             points_layout: layout(gpu, "points", &[storage(true), storage(false)]),
             question_layout: layout(gpu, "question", &[uniform()]),
+            blend_layout: layout(
+                gpu,
+                "blend maps",
+                &[uniform(), storage(true), storage(true), storage(false)],
+            ),
             view_layout: layout(gpu, "view", &[uniform(), storage(true)]),
             empty_layout,
             empty_group,
@@ -233,6 +240,12 @@ impl Pipelines {
                 &self.field_layout,
                 &self.points_layout,
                 &self.question_layout,
+            ],
+            Kernel::BlendMaps => [
+                &self.blend_layout,
+                &self.empty_layout,
+                &self.empty_layout,
+                &self.empty_layout,
             ],
             Kernel::Composite | Kernel::Probe => [
                 &self.scene_layout,

@@ -2,6 +2,7 @@
 
 use super::{CellFrame, MarchSettings, SkyLight};
 use crate::field::{SKIP_RANGE_SHARE, mean_height_fraction};
+use crate::gpu::PlacedWeather;
 use glam::DVec3;
 use skycell_protocol::Scene;
 use skycell_protocol::camera::POSITION_ALTITUDE_M;
@@ -60,6 +61,25 @@ pub fn active_layers(scene: &Scene) -> Vec<ActiveLayer> {
     active
 }
 
+/// The weather layers among the active ones, with where their maps stand.
+#[must_use]
+pub fn placed_weather<'a>(scene: &'a Scene, active: &[ActiveLayer]) -> Vec<PlacedWeather<'a>> {
+    (0..)
+        .zip(active)
+        .filter_map(|(place, active)| {
+            let layer = scene.layers().get(active.scene_index)?;
+            match layer.density() {
+                DensityModel::Weather(weather) => Some(PlacedWeather {
+                    place,
+                    name: layer.name(),
+                    weather,
+                }),
+                _ => None,
+            }
+        })
+        .collect()
+}
+
 /// What the marching kernels are specialised to for one layer of a scene.
 #[must_use]
 pub fn layer_features(scene: &Scene, scene_index: usize, settings: &MarchSettings) -> Features {
@@ -78,12 +98,26 @@ pub fn layer_features(scene: &Scene, scene_index: usize, settings: &MarchSetting
     }
 }
 
-/// How far each layer's wind has carried its clouds by a time, m: x and z, y unused.
+/// How far each layer's wind has carried its clouds by a time (x and z), and how far the noise has risen through them
+/// (y), m.
 #[must_use]
 pub fn wind_drifts(scene: &Scene, time_s: f64) -> Vec<DVec3> {
     (0..scene.layers().len())
-        .map(|index| scene.layer_wind(index).velocity_m_per_s() * time_s)
+        .map(|index| drift_m_per_s(scene, index) * time_s)
         .collect()
+}
+
+/// Speed of a layer's drift: its wind, and upwards the evolution of its noise.
+#[must_use]
+pub fn drift_m_per_s(scene: &Scene, index: usize) -> DVec3 {
+    let evolution_m_per_s = match scene.layers().get(index).map(CloudLayer::density) {
+        Some(DensityModel::Weather(weather)) => weather.evolution_m_per_s(),
+        _ => 0.0,
+    };
+    scene
+        .layer_wind(index)
+        .velocity_m_per_s()
+        .with_y(evolution_m_per_s)
 }
 
 /// Parameters of the phase: HG asymmetry, Draine's asymmetry, α and weight.
@@ -319,7 +353,7 @@ fn layer_uniform(
         let offset = |period_m: f64| {
             [
                 period_offset(x, drift.x, period_m),
-                0.0,
+                period_offset(0.0, drift.y, period_m),
                 period_offset(z, drift.z, period_m),
             ]
         };

@@ -108,6 +108,7 @@ fn prepared(arguments: &TradeArguments, scene: &Scene) -> anyhow::Result<Prepare
     let config = RenderConfig {
         cache_memory_mib: CACHE_MEMORY_MIB,
         grids_dir: inputs.grids_dir.clone(),
+        maps_dir: inputs.grids_dir.clone(),
         ..RenderConfig::new(inputs.noise_dir.clone())
     };
     let mut still = StillRenderer::new(config, Arc::new(scene.clone()), &[])?;

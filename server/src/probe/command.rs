@@ -94,6 +94,8 @@ pub fn run(arguments: &ProbeArguments) -> anyhow::Result<()> {
         arguments.noise_cache_dir.as_ref(),
     );
     crate::field::check_grids(&scene, &folders.grids)?;
+    let store = crate::field::FieldStore::new(Some(folders.noise.clone()));
+    crate::field::check_maps(&scene, &store, &folders.grids)?;
     let answer = match &arguments.question {
         Question::Phase {
             angles_deg,

@@ -5,11 +5,10 @@ use crate::field::FieldStore;
 use crate::gpu::{FieldTextures, Gpu, GpuError, PipelineKey, Pipelines};
 use crate::march::{
     ActiveLayer, CellBuffers, CellFrame, MarchSettings, active_layers, layer_features,
-    scene_uniform, sky_light, wind_drifts,
+    placed_weather, scene_uniform, sky_light, wind_drifts,
 };
 use glam::DVec3;
 use skycell_protocol::Scene;
-use skycell_protocol::scene::DensityModel;
 use skycell_shaders::{Kernel, layout};
 use std::path::Path;
 
@@ -62,7 +61,7 @@ pub struct FieldProbe {
 
 impl FieldProbe {
     /// Puts a scene on a device. The frame's origin is the ground under `origin_m` (x, altitude, z); the wind has blown for
-    /// `time_s`; noise is kept in `noise_dir`, voxels are looked for in `grids_dir`.
+    /// `time_s`; noise is kept in `noise_dir`, voxels and maps are looked for in `grids_dir`.
     ///
     /// # Errors
     /// When there is no device.
@@ -81,10 +80,9 @@ impl FieldProbe {
         field.set_grids(&gpu, &pipelines.field_layout, scene, grids_dir);
         let active = active_layers(scene);
         let mut keys = Vec::new();
-        for (place, layer) in (0..).zip(&active) {
-            if let DensityModel::Weather(weather) = scene.layers()[layer.scene_index].density() {
-                field.set_map(&gpu, place, weather);
-            }
+        let maps = placed_weather(scene, &active);
+        field.set_maps(&gpu, &pipelines.field_layout, &maps, grids_dir);
+        for layer in &active {
             keys.push(PipelineKey {
                 kernel: Kernel::ProbeField,
                 features: layer_features(scene, layer.scene_index, &settings),

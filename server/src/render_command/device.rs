@@ -96,6 +96,7 @@ pub(super) fn run(
     let config = RenderConfig {
         cache_memory_mib: 2048,
         grids_dir: folders.grids.clone(),
+        maps_dir: folders.grids.clone(),
         ..RenderConfig::new(folders.noise.clone())
     };
     let scene = Arc::new(scene);

@@ -32,7 +32,7 @@ pub fn default_noise_cache_dir() -> Option<PathBuf> {
 pub(crate) struct Folders {
     /// Noise, kept between runs.
     pub(crate) noise: PathBuf,
-    /// Voxels: beside the scene file.
+    /// Voxels and maps: beside the scene file.
     pub(crate) grids: PathBuf,
 }
 
@@ -144,6 +144,8 @@ pub fn run(arguments: &RenderArguments) -> anyhow::Result<()> {
         arguments.noise_cache_dir.as_ref(),
     );
     crate::field::check_grids(&scene, &folders.grids)?;
+    let store = crate::field::FieldStore::new(Some(folders.noise.clone()));
+    crate::field::check_maps(&scene, &store, &folders.grids)?;
     let chosen = Chosen::new(arguments.approximations.as_deref(), output != Output::Png);
     let target = target(arguments)?;
     match arguments.renderer {

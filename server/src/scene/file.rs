@@ -127,7 +127,7 @@ fn read_snapshot(value: &Value) -> Result<SceneSnapshot, SceneError> {
     })
 }
 
-fn write_and_sync(path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub(super) fn write_and_sync(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = File::create(path)?;
     file.write_all(bytes)?;
     file.sync_all()
@@ -135,7 +135,7 @@ fn write_and_sync(path: &Path, bytes: &[u8]) -> io::Result<()> {
 
 /// Makes the new name last. Elsewhere than on Unix a folder cannot be opened; there the system
 /// keeps names in order.
-fn sync_folder(folder: &Path) -> io::Result<()> {
+pub(super) fn sync_folder(folder: &Path) -> io::Result<()> {
     if cfg!(unix) {
         File::open(folder)?.sync_all()
     } else {
@@ -143,7 +143,7 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
     }
 }
 
-fn io_error(action: &'static str, path: &Path, error: io::Error) -> SceneFileError {
+pub(super) fn io_error(action: &'static str, path: &Path, error: io::Error) -> SceneFileError {
     SceneFileError::Io {
         action,
         path: path.to_owned(),

@@ -21,6 +21,7 @@ use tokio_util::task::TaskTracker;
 use crate::api;
 use crate::config::Config;
 use crate::encode::EncoderPool;
+use crate::field::FieldStore;
 use crate::frame_loop::interface::{FrameLoopGone, FrameLoopHandle, FrameSink, RenderCommand};
 use crate::metrics::Metrics;
 use crate::scene::{SceneFileError, SceneSnapshot, SceneStore};
@@ -74,7 +75,8 @@ impl ServiceParts {
     /// # Errors
     /// If the scene's file is corrupt or the folder cannot be written, above all.
     pub fn prepare(config: Config) -> Result<Self, ServiceError> {
-        let scene = Arc::new(SceneStore::open(config.state_dir.clone())?);
+        let field = FieldStore::new(Some(config.render.noise_cache_dir.clone()));
+        let scene = Arc::new(SceneStore::open_with(config.state_dir.clone(), field)?);
         let viewers = ViewerRegistry::new(config.viewers_max);
         let metrics = Arc::new(Metrics::new()?);
         let encoders = EncoderPool::new(

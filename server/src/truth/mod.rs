@@ -2,14 +2,14 @@
 //! reads, made by the same generators. The data are inputs of both sides; nothing computed from them is shared.
 
 use crate::field::{
-    FieldStore, GridError, MAP_SIZE, PROFILE_SIZE, VolumeKind, load_grid, profile_texels,
-    skip_distances,
+    FieldStore, GridError, LayerMaps, MAP_SIZE, MapFileError, MapFormat, PROFILE_SIZE, VolumeKind,
+    load_grid,
 };
 use glam::DVec3;
 use skycell_protocol::Scene;
 use skycell_protocol::scene::DensityModel;
 use skycell_reference::{
-    Approximations, ByteMap, ByteVolume, Field, LayerField, Noise, ReferenceError, WeatherMaps,
+    Approximations, ByteVolume, Field, LayerField, Noise, ReferenceError, TexelMap, WeatherMaps,
     World, WorldSettings,
 };
 use std::path::Path;
@@ -25,15 +25,46 @@ pub enum TruthError {
     /// Voxels are missing.
     #[error(transparent)]
     Grid(#[from] GridError),
+    /// A map is missing.
+    #[error("{error}; allowed: {}", .error.allowed())]
+    Map {
+        /// What is wrong with it.
+        #[from]
+        error: MapFileError,
+    },
     /// Data or settings do not fit.
     #[error(transparent)]
     Reference(#[from] ReferenceError),
 }
 
-/// What the densities of a scene read. Noise is kept in `noise_dir`, voxels are looked for in `grids_dir`.
+/// Maps of a layer as the device reads them in a format; skips for a layer's coverage.
 ///
 /// # Errors
-/// When voxels cannot be read.
+/// Never: the maps fill their sizes.
+pub fn weather_maps(
+    maps: &LayerMaps,
+    format: MapFormat,
+    layer_coverage: f64,
+) -> Result<WeatherMaps, ReferenceError> {
+    let values = |texels: &[u16]| texels.iter().map(|t| format.value(*t)).collect();
+    let map = |what, values| TexelMap::of_values(what, MAP_SIZE, MAP_SIZE, values);
+    let skips = maps.skips(format, layer_coverage);
+    let [heights, types] = PROFILE_SIZE;
+    Ok(WeatherMaps {
+        coverage: map("the coverage map", values(&maps.coverage))?,
+        cloud_type: map("the type map", values(&maps.cloud_type))?,
+        skip: map(
+            "the skip map",
+            skips.iter().map(|level| format.skip(*level)).collect(),
+        )?,
+        profile: TexelMap::of_values("the profile", heights, types, values(&maps.profile))?,
+    })
+}
+
+/// What the densities of a scene read. Noise is kept in `noise_dir`, voxels and maps are looked for in `grids_dir`.
+///
+/// # Errors
+/// When voxels or maps cannot be read.
 pub fn reference_field(
     scene: &Scene,
     noise_dir: &Path,
@@ -41,20 +72,22 @@ pub fn reference_field(
 ) -> Result<Field, TruthError> {
     let store = FieldStore::new(Some(noise_dir.to_owned()));
     let mut field = Field::default();
-    for layer in scene.layers() {
-        field.layers.push(match layer.density() {
-            DensityModel::Homogeneous(_) => LayerField::Nothing,
-            DensityModel::Grid(grid) => LayerField::Grid(load_grid(grids_dir, grid)?.values),
-            DensityModel::Weather(weather) => {
-                let maps = store.weather_maps(weather.seed());
-                let skip = skip_distances(&maps.coverage, weather.coverage());
-                let map = |what, texels| ByteMap::new(what, MAP_SIZE, MAP_SIZE, texels);
-                LayerField::Weather(WeatherMaps {
-                    coverage: map("the coverage map", maps.coverage)?,
-                    cloud_type: map("the type map", maps.cloud_type)?,
-                    skip: map("the skip map", skip)?,
-                })
+    let maps = scene
+        .layers()
+        .iter()
+        .map(|layer| match layer.density() {
+            DensityModel::Weather(weather) => store.layer_maps(weather, grids_dir).map(Some),
+            _ => Ok(None),
+        })
+        .collect::<Result<Vec<Option<LayerMaps>>, MapFileError>>()?;
+    let format = MapFormat::of(maps.iter().flatten());
+    for (layer, maps) in scene.layers().iter().zip(&maps) {
+        field.layers.push(match (layer.density(), maps) {
+            (DensityModel::Grid(grid), _) => LayerField::Grid(load_grid(grids_dir, grid)?.values),
+            (DensityModel::Weather(weather), Some(maps)) => {
+                LayerField::Weather(weather_maps(maps, format, weather.coverage())?)
             }
+            _ => LayerField::Nothing,
         });
     }
     if field
@@ -66,11 +99,9 @@ pub fn reference_field(
             let noise = store.volume(kind, VOLUME_SEED);
             ByteVolume::new(kind.name(), noise.size, noise.texels)
         };
-        let [heights, types] = PROFILE_SIZE;
         field.noise = Some(Noise {
             shape: volume(VolumeKind::Shape)?,
             detail: volume(VolumeKind::Detail)?,
-            profile: ByteMap::new("the profile", heights, types, profile_texels())?,
         });
     }
     Ok(field)
@@ -79,7 +110,7 @@ pub fn reference_field(
 /// A scene for the reference, in the frame on the ground under `origin_m` (x, altitude, z).
 ///
 /// # Errors
-/// When voxels cannot be read or a number is out of range.
+/// When voxels or maps cannot be read or a number is out of range.
 pub fn reference_world(
     scene: &Scene,
     noise_dir: &Path,

@@ -3,6 +3,7 @@
 mod client;
 mod figures;
 mod lifecycle;
+mod maps;
 mod scene;
 mod stand_in;
 mod stream;

@@ -2,7 +2,7 @@
 #import skycell::scene::Layer
 
 @group(1) @binding(0) var field_maps: texture_2d_array<f32>;
-@group(1) @binding(1) var field_profile: texture_2d<f32>;
+@group(1) @binding(1) var field_profile: texture_2d_array<f32>;
 @group(1) @binding(2) var field_shape: texture_3d<f32>;
 @group(1) @binding(3) var field_detail: texture_3d<f32>;
 @group(1) @binding(4) var field_repeat: sampler;
@@ -55,18 +55,18 @@ fn read_map(uv: vec2f, index: u32) -> vec3f {
 #endif
 }
 
-fn read_profile(uv: vec2f) -> f32 {
+fn read_profile(uv: vec2f, index: u32) -> f32 {
     count_read();
 #ifdef EXACT_INTERPOLATION
     let size = vec2i(textureDimensions(field_profile));
     let at = between(vec3f(uv * vec2f(size) - 0.5, 0.0));
     let low = clamp(at.below.xy, vec2i(0), size - 1);
     let high = clamp(at.below.xy + 1, vec2i(0), size - 1);
-    let first = mix(textureLoad(field_profile, low, 0).x, textureLoad(field_profile, vec2i(high.x, low.y), 0).x, at.share.x);
-    let second = mix(textureLoad(field_profile, vec2i(low.x, high.y), 0).x, textureLoad(field_profile, high, 0).x, at.share.x);
+    let first = mix(textureLoad(field_profile, low, index, 0).x, textureLoad(field_profile, vec2i(high.x, low.y), index, 0).x, at.share.x);
+    let second = mix(textureLoad(field_profile, vec2i(low.x, high.y), index, 0).x, textureLoad(field_profile, high, index, 0).x, at.share.x);
     return mix(first, second, at.share.y);
 #else
-    return textureSampleLevel(field_profile, field_clamp, uv, 0.0).x;
+    return textureSampleLevel(field_profile, field_clamp, uv, index, 0.0).x;
 #endif
 }
 
@@ -167,14 +167,14 @@ fn type_from_map(layer_type: f32, map_value: f32) -> f32 {
 }
 
 /// Vertical profile: how much of its coverage a cloud of this type keeps at a height fraction of the layer.
-fn vertical_profile(cloud_type: f32, height_fraction: f32) -> f32 {
-    return read_profile(vec2f(height_fraction, cloud_type));
+fn vertical_profile(layer: Layer, cloud_type: f32, height_fraction: f32) -> f32 {
+    return read_profile(vec2f(height_fraction, cloud_type), layer.map_index);
 }
 
 /// Dimensional profile d = c v: the cloud before noise carves it.
 fn dimensional_profile(layer: Layer, map: vec3f, height_fraction: f32) -> f32 {
     let cloud_type = type_from_map(layer.cloud_type, map.y);
-    return coverage_from_map(layer.coverage, map.x) * vertical_profile(cloud_type, height_fraction);
+    return coverage_from_map(layer.coverage, map.x) * vertical_profile(layer, cloud_type, height_fraction);
 }
 
 /// Density in 0...1 where the dimensional profile is known: the shape noise above what the profile forbids, its surface

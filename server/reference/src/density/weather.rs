@@ -55,6 +55,8 @@ pub struct Weather {
     pub base_altitude_m: f64,
     /// Thickness of the layer, m.
     pub thickness_m: f64,
+    /// How far the noise has risen through the clouds, m.
+    pub evolved_m: f64,
 }
 
 impl Weather {
@@ -65,6 +67,7 @@ impl Weather {
         base_altitude_m: f64,
         thickness_m: f64,
         with_detail: bool,
+        evolved_m: f64,
     ) -> Self {
         Self {
             coverage: density.coverage(),
@@ -79,7 +82,17 @@ impl Weather {
             },
             base_altitude_m,
             thickness_m,
+            evolved_m,
         }
+    }
+
+    /// Where a place lies in periods of noise, which rises.
+    fn noise_place(&self, place: FieldPlace, period_m: f64) -> [f64; 3] {
+        [
+            place.x_m / period_m,
+            (place.altitude_m - self.evolved_m) / period_m,
+            place.z_m / period_m,
+        ]
     }
 
     /// Local coverage in 0…1 for what the map holds: 0 at a layer coverage of 0, 1 at 1, whatever the map holds.
@@ -105,7 +118,6 @@ impl Weather {
     #[must_use]
     pub fn dimensional_profile(
         &self,
-        noise: &Noise,
         maps: &WeatherMaps,
         place: FieldPlace,
         height_fraction: f64,
@@ -122,7 +134,7 @@ impl Weather {
             maps.cloud_type.repeated(u, v)
         };
         let cloud_type = self.type_from_map(map_value);
-        coverage * noise.profile.clamped(height_fraction, cloud_type)
+        coverage * maps.profile.clamped(height_fraction, cloud_type)
     }
 
     /// Horizontal distance in which there is no cloud, m.
@@ -141,11 +153,9 @@ impl Weather {
 
     /// How far the shape noise reaches above what the profile forbids.
     fn carved(&self, noise: &Noise, place: FieldPlace, height_fraction: f64, profile: f64) -> f64 {
-        let p = self.shape_period_m;
-        let [billowy, wispy] =
-            noise
-                .shape
-                .repeated([place.x_m / p, place.altitude_m / p, place.z_m / p]);
+        let [billowy, wispy] = noise
+            .shape
+            .repeated(self.noise_place(place, self.shape_period_m));
         let shape = wispy + (billowy - wispy) * Self::billowy(height_fraction);
         SHAPE_FLOOR + SHAPE_RANGE * shape - (1.0 - profile)
     }
@@ -168,12 +178,10 @@ impl Weather {
         if carved <= 0.0 {
             return 0.0;
         }
-        let p = self.detail_period_m;
         let detail = if self.detail_strength > 0.0 && detail_weight > 0.0 {
-            let [billowy, wispy] =
-                noise
-                    .detail
-                    .repeated([place.x_m / p, place.altitude_m / p, place.z_m / p]);
+            let [billowy, wispy] = noise
+                .detail
+                .repeated(self.noise_place(place, self.detail_period_m));
             let fine = wispy + (billowy - wispy) * Self::billowy(height_fraction);
             DETAIL_MEAN + (fine - DETAIL_MEAN) * detail_weight
         } else {

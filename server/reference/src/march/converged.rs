@@ -271,7 +271,7 @@ impl<'a> LayerMarch<'a> {
         let (Some(noise), Some(maps)) = (self.world.noise(), self.world.maps(self.layer)) else {
             return (0.0, 0.0, height_fraction);
         };
-        let profile = weather.dimensional_profile(noise, maps, place, height_fraction);
+        let profile = weather.dimensional_profile(maps, place, height_fraction);
         let weight = detail_weight(weather.detail_period_m, distance_m);
         let density = weather.carved_density(noise, place, height_fraction, profile, weight);
         (density, profile, height_fraction)

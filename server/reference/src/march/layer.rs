@@ -169,7 +169,7 @@ fn sample(
             let (Some(noise), Some(maps)) = (world.noise(), world.maps(layer)) else {
                 return Found::Clear { skip_m: 0.0 };
             };
-            let profile = weather.dimensional_profile(noise, maps, place, height_fraction);
+            let profile = weather.dimensional_profile(maps, place, height_fraction);
             if profile == 0.0 {
                 let skip_m = weather.skip_m(maps, place);
                 return Found::Clear { skip_m };

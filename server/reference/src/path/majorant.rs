@@ -8,7 +8,7 @@ use crate::density::grid::Grid;
 use crate::density::weather::{PROFILE_MIN, SHAPE_FLOOR, SHAPE_RANGE, SURFACE_STEEPNESS, Weather};
 use crate::shell::{Globe, Interval};
 use crate::world::Medium;
-use crate::{ByteMap, Noise, Ray, WeatherMaps, World, WorldLayer};
+use crate::{Noise, Ray, TexelMap, WeatherMaps, World, WorldLayer};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
@@ -168,15 +168,15 @@ impl Cells {
         let nx = columns(maps.coverage.width().min(maps.cloud_type.width()));
         let nz = columns(maps.coverage.height().min(maps.cloud_type.height()));
         let ny = WEATHER_HEIGHTS;
-        let rows = ProfileBounds::new(&noise.profile, ny);
+        let rows = ProfileBounds::new(&maps.profile, ny);
         let shape = ShapeBounds::new(weather, noise, [nx, ny, nz]);
         let bounds = (0..nx * nz)
             .into_par_iter()
             .flat_map_iter(|column| {
                 let (x, z) = (column % nx, column / nx);
-                let [_, most] = byte_range(&maps.coverage, [x, z], [nx, nz]);
+                let [_, most] = value_range(&maps.coverage, [x, z], [nx, nz]);
                 let coverage = weather.coverage_from_map(most);
-                let [least, most] = byte_range(&maps.cloud_type, [x, z], [nx, nz]);
+                let [least, most] = value_range(&maps.cloud_type, [x, z], [nx, nz]);
                 let types = [weather.type_from_map(least), weather.type_from_map(most)];
                 let (rows, shape) = (&rows, &shape);
                 (0..ny).map(move |y| {
@@ -278,12 +278,12 @@ impl Cells {
 }
 
 /// Least and greatest value that a cell of a map can read.
-fn byte_range(map: &ByteMap, cell: [usize; 2], counts: [usize; 2]) -> [f64; 2] {
+fn value_range(map: &TexelMap, cell: [usize; 2], counts: [usize; 2]) -> [f64; 2] {
     let texels = |axis: usize, size: u32| {
         let [low, high] = extent(cell[axis], f64::from(size) / counts[axis] as f64);
         texels_between(low, high)
     };
-    let (mut least, mut most) = (255u8, 0u8);
+    let (mut least, mut most) = (1.0f64, 0.0f64);
     for y in texels(1, map.height()) {
         for x in texels(0, map.width()) {
             let texel = map.texel_repeated(x, y);
@@ -291,7 +291,7 @@ fn byte_range(map: &ByteMap, cell: [usize; 2], counts: [usize; 2]) -> [f64; 2] {
             most = most.max(texel);
         }
     }
-    [f64::from(least) / 255.0, f64::from(most) / 255.0]
+    [least, most]
 }
 
 /// The greatest profile of each height cell, per row of types.
@@ -303,16 +303,14 @@ struct ProfileBounds {
 }
 
 impl ProfileBounds {
-    fn new(profile: &ByteMap, heights: usize) -> Self {
+    fn new(profile: &TexelMap, heights: usize) -> Self {
         let last = i64::from(profile.width()) - 1;
         let mut most = Vec::new();
         for row in 0..i64::from(profile.height()) {
             for cell in 0..heights {
                 let [low, high] = extent(cell, f64::from(profile.width()) / heights as f64);
-                let texels = texels_between(low, high).map(|x| {
-                    let texel = profile.texel_repeated(x.clamp(0, last), row);
-                    f64::from(texel) / 255.0
-                });
+                let texels = texels_between(low, high)
+                    .map(|x| profile.texel_repeated(x.clamp(0, last), row));
                 most.push(texels.fold(0.0, f64::max));
             }
         }
@@ -387,7 +385,7 @@ impl ShapeBounds {
                 let [low, high] = extent(cell, 1.0 / ny as f64);
                 let voxel = |fraction: f64| {
                     let altitude_m = weather.base_altitude_m + fraction * weather.thickness_m;
-                    altitude_m / weather.shape_period_m * size
+                    (altitude_m - weather.evolved_m) / weather.shape_period_m * size
                 };
                 let mut greatest = [0; 2];
                 // More than a period of heights reads every voxel once.

@@ -4,7 +4,7 @@ use glam::DVec3;
 use serde_json::{Value, json};
 use skycell_protocol::Scene;
 use skycell_reference::{
-    Approximations, ByteMap, ByteVolume, Field, LayerField, Noise, Ray, WeatherMaps, World,
+    Approximations, ByteVolume, Field, LayerField, Noise, Ray, TexelMap, WeatherMaps, World,
     WorldSettings,
 };
 use std::sync::Arc;
@@ -105,7 +105,7 @@ pub(crate) fn weather_field() -> Field {
                 texels.push((value.clamp(0.0, 1.0) * 255.0) as u8);
             }
         }
-        ByteMap::new("map", 64, 64, texels).expect("a map")
+        TexelMap::new("map", 64, 64, texels).expect("a map")
     };
     let mut profile = Vec::new();
     for t in 0..64 {
@@ -121,12 +121,12 @@ pub(crate) fn weather_field() -> Field {
         noise: Some(Noise {
             shape: volume(32, 3.0, 0.2),
             detail: volume(16, 2.0, 0.6),
-            profile: ByteMap::new("profile", 128, 64, profile).expect("a map"),
         }),
         layers: vec![LayerField::Weather(WeatherMaps {
             coverage: map(0.1),
             cloud_type: map(0.7),
-            skip: ByteMap::new("skip", 1, 1, vec![0]).expect("a map"),
+            skip: TexelMap::new("skip", 1, 1, vec![0]).expect("a map"),
+            profile: TexelMap::new("profile", 128, 64, profile).expect("a map"),
         })],
     }
 }

@@ -1,0 +1,240 @@
+//! `/api/v1/scene/maps/{coverage,type,profile}`: the maps of a layer as pictures.
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::body::{Body, to_bytes};
+use axum::extract::{DefaultBodyLimit, Path, Query, State};
+use axum::http::header::{
+    ACCEPT, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_TYPE, ETAG, HeaderValue, VARY,
+};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use serde::Deserialize;
+use skycell_protocol::scene::MapKind;
+use tokio::sync::{Semaphore, SemaphorePermit};
+
+use super::Problem;
+use super::scene::{document, is_known, not_modified, problem_of, read_precondition, tag_of};
+use crate::field::{MAP_FILE_MAX_BYTES, MapFileFormat};
+use crate::scene::{MapChoice, ScenePatchError, SceneSnapshot};
+use crate::stream::StreamContext;
+
+/// A map of 8192 x 8192 takes hundreds of MiB while it is read or written: one at a time.
+static MAP_WORK: Semaphore = Semaphore::const_new(1);
+
+/// What may stand behind the question mark.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MapQuery {
+    layer: Option<String>,
+    transition_s: Option<f64>,
+    format: Option<String>,
+}
+
+pub(super) fn routes() -> Router<Arc<StreamContext>> {
+    Router::new()
+        .route(
+            "/api/v1/scene/maps/{kind}",
+            get(read).put(replace).delete(reset),
+        )
+        // The handler bounds what it reads, by the length of a map.
+        .layer(DefaultBodyLimit::disable())
+}
+
+fn choice(kind: &str, query: &MapQuery) -> Result<MapChoice, Problem> {
+    let kind: MapKind = kind
+        .parse()
+        .map_err(|reason: String| Problem::new(StatusCode::NOT_FOUND, reason))?;
+    Ok(MapChoice {
+        kind,
+        layer: query.layer.clone(),
+    })
+}
+
+/// The format that is asked for: by the query, else by the Accept header, else PNG.
+fn format_of(query: &MapQuery, headers: &HeaderMap) -> Result<MapFileFormat, Problem> {
+    let formats = [MapFileFormat::Png, MapFileFormat::Exr];
+    if let Some(asked) = &query.format {
+        return formats
+            .into_iter()
+            .find(|format| format.extension() == asked)
+            .ok_or_else(|| {
+                Problem::new(
+                    StatusCode::BAD_REQUEST,
+                    format!("format is {asked:?}; allowed: png, exr"),
+                )
+            });
+    }
+    let accepted: Vec<&str> = headers
+        .get_all(ACCEPT)
+        .iter()
+        .filter_map(|header| header.to_str().ok())
+        .flat_map(|list| list.split(','))
+        .filter_map(|item| item.split(';').next())
+        .map(str::trim)
+        .collect();
+    let is_accepted = |format: &MapFileFormat| {
+        accepted
+            .iter()
+            .any(|kind| kind.eq_ignore_ascii_case(format.media_type()))
+    };
+    if let Some(named) = formats.into_iter().find(is_accepted) {
+        return Ok(named);
+    }
+    if accepted.is_empty()
+        || accepted
+            .iter()
+            .any(|kind| ["*/*", "image/*"].contains(kind))
+    {
+        return Ok(MapFileFormat::Png);
+    }
+    Err(Problem::new(
+        StatusCode::NOT_ACCEPTABLE,
+        "a map is image/png (16 bits) or image/x-exr (32-bit floats)",
+    ))
+}
+
+async fn turn() -> Result<SemaphorePermit<'static>, Problem> {
+    // The semaphore is never closed.
+    MAP_WORK
+        .acquire()
+        .await
+        .map_err(|_| Problem::new(StatusCode::SERVICE_UNAVAILABLE, "the server is ending"))
+}
+
+/// Runs what waits for disk and decoders beside the async tasks.
+async fn blocking<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    tokio::task::spawn_blocking(work)
+        .await
+        .unwrap_or_else(|error| {
+            tracing::error!(%error, "work on a map failed");
+            Err(Problem::new(
+                StatusCode::INTERNAL_SERVER_ERROR,
+                "the server failed; its log tells why",
+            ))
+        })
+}
+
+async fn read(
+    State(context): State<Arc<StreamContext>>,
+    Path(kind): Path<String>,
+    Query(query): Query<MapQuery>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let choice = choice(&kind, &query)?;
+    let format = format_of(&query, &headers)?;
+    let tag = tag_of(context.scene.snapshot().revision);
+    if is_known(&headers, &tag) {
+        return Ok(not_modified(tag));
+    }
+    let _turn = turn().await?;
+    let name = format!("{kind}.{}", format.extension());
+    let (snapshot, file) = blocking(move || {
+        let (snapshot, map) = context.scene.map(&choice).map_err(problem_of)?;
+        let file = map
+            .encode(format)
+            .map_err(|error| Problem::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
+        Ok((snapshot, file))
+    })
+    .await?;
+    let mut response = Body::from(file).into_response();
+    let told = response.headers_mut();
+    told.insert(CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
+    told.insert(VARY, HeaderValue::from_static("accept"));
+    for (header, value) in [
+        (ETAG, tag_of(snapshot.revision)),
+        (
+            CONTENT_DISPOSITION,
+            format!("attachment; filename=\"{name}\""),
+        ),
+    ] {
+        if let Ok(value) = HeaderValue::from_str(&value) {
+            told.insert(header, value);
+        }
+    }
+    Ok(response)
+}
+
+async fn replace(
+    State(context): State<Arc<StreamContext>>,
+    Path(kind): Path<String>,
+    Query(query): Query<MapQuery>,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
+    let choice = choice(&kind, &query)?;
+    let precondition = read_precondition(&headers)?;
+    let too_long = |bytes: String| {
+        Problem::new(
+            StatusCode::PAYLOAD_TOO_LARGE,
+            format!("a file of {bytes} bytes; allowed: at most {MAP_FILE_MAX_BYTES} bytes"),
+        )
+    };
+    let announced = headers
+        .get(CONTENT_LENGTH)
+        .and_then(|length| length.to_str().ok()?.parse::<u64>().ok());
+    if let Some(bytes) = announced.filter(|bytes| *bytes > MAP_FILE_MAX_BYTES) {
+        return Err(too_long(bytes.to_string()));
+    }
+    let _turn = turn().await?;
+    let bytes = to_bytes(body, MAP_FILE_MAX_BYTES as usize)
+        .await
+        .map_err(|_| too_long(format!("more than {MAP_FILE_MAX_BYTES}")))?;
+    changed(
+        "map replaced",
+        blocking(move || {
+            context
+                .scene
+                .put_map(&precondition, &choice, query.transition_s, &bytes)
+                .map_err(problem_of)
+        })
+        .await,
+    )
+}
+
+async fn reset(
+    State(context): State<Arc<StreamContext>>,
+    Path(kind): Path<String>,
+    Query(query): Query<MapQuery>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let choice = choice(&kind, &query)?;
+    let precondition = read_precondition(&headers)?;
+    changed(
+        "map reset",
+        blocking(move || {
+            context
+                .scene
+                .reset_map(&precondition, &choice, query.transition_s)
+                .map_err(problem_of)
+        })
+        .await,
+    )
+}
+
+/// The scene that names the new map.
+fn changed(what: &str, result: Result<SceneSnapshot, Problem>) -> Result<Response, Problem> {
+    let snapshot = result?;
+    tracing::info!(revision = snapshot.revision, "{what}");
+    Ok(document(&snapshot))
+}
+
+/// What is wrong with a file, as a problem.
+pub(super) fn map_problem(pointer: String, error: &crate::field::MapFileError) -> Problem {
+    use crate::field::MapFileError::{NoImage, TooLong};
+    let status = match error {
+        TooLong { .. } => StatusCode::PAYLOAD_TOO_LARGE,
+        NoImage { .. } => StatusCode::UNSUPPORTED_MEDIA_TYPE,
+        _ => StatusCode::UNPROCESSABLE_ENTITY,
+    };
+    Problem::bad_value(error.at(pointer)).with_status(status)
+}
+
+/// There is no room for a file.
+pub(super) fn full_problem(error: &ScenePatchError) -> Problem {
+    Problem::new(StatusCode::INSUFFICIENT_STORAGE, error.to_string())
+}
