@@ -5,6 +5,7 @@ use std::time::Duration;
 use reqwest::{Method, Response, StatusCode, header};
 use serde::Deserialize;
 use serde_json::Value;
+use skycell_protocol::scene::MapKind;
 use thiserror::Error;
 
 use crate::{ServerAddress, ServerStats};
@@ -12,6 +13,10 @@ use crate::{ServerAddress, ServerStats};
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 /// A scene has a few kB, the counters of a full server some hundred.
 const BODY_MAX_BYTES: usize = 8 << 20;
+/// A map of 8192 x 8192 floats, and what is around it.
+const MAP_MAX_BYTES: usize = 300 << 20;
+/// Maps are long, and the server reads one at a time.
+const MAP_TIMEOUT: Duration = Duration::from_secs(130);
 const MERGE_PATCH: &str = "application/merge-patch+json";
 /// How often a patch without an own precondition is tried when others patch at the same time.
 const PATCH_TRIES: u32 = 5;
@@ -30,6 +35,15 @@ impl SceneRevision {
     pub fn revision(&self) -> Option<u64> {
         self.etag.trim_matches('"').parse().ok()
     }
+}
+
+/// Which map of which layer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MapChoice {
+    /// Which map.
+    pub kind: MapKind,
+    /// Name of the layer; not needed where only one has maps.
+    pub layer: Option<String>,
 }
 
 /// What a server says about a request that it does not grant (RFC 9457).
@@ -180,6 +194,60 @@ impl HttpApi {
         }
     }
 
+    /// A layer's map as a file: `png` (16 bits of grey) or `exr` (floats).
+    ///
+    /// # Errors
+    /// If the server is not there or has no such map.
+    pub async fn map(&self, choice: &MapChoice, format: &str) -> Result<Vec<u8>, HttpApiError> {
+        let mut url = self.map_url(choice, None);
+        url.query_pairs_mut().append_pair("format", format);
+        let request = self.client.get(url.clone()).timeout(MAP_TIMEOUT);
+        let (_, body) = self
+            .answer_up_to(MAP_MAX_BYTES, request, Method::GET, &url)
+            .await?;
+        Ok(body)
+    }
+
+    /// Replaces a layer's map by a file; without one the map that is made from the seed comes back. `transition_s` is
+    /// the sky time that the change takes, `etag` the scene that is meant, `*` for whatever it is.
+    ///
+    /// # Errors
+    /// [`HttpApiError::Refused`] with 412 if the scene has changed, 413, 415 or 422 if the file is no map.
+    pub async fn set_map(
+        &self,
+        choice: &MapChoice,
+        file: Option<Vec<u8>>,
+        transition_s: Option<f64>,
+        etag: &str,
+    ) -> Result<SceneRevision, HttpApiError> {
+        let url = self.map_url(choice, transition_s);
+        let method = if file.is_some() {
+            Method::PUT
+        } else {
+            Method::DELETE
+        };
+        let request = self
+            .client
+            .request(method.clone(), url.clone())
+            .timeout(MAP_TIMEOUT)
+            .header(header::IF_MATCH, etag)
+            .body(file.unwrap_or_default());
+        self.scene_of(request, method, &url).await
+    }
+
+    fn map_url(&self, choice: &MapChoice, transition_s: Option<f64>) -> reqwest::Url {
+        let path = format!("api/v1/scene/maps/{}", choice.kind);
+        let mut url = self.address.http_url(&path);
+        if let Some(layer) = &choice.layer {
+            url.query_pairs_mut().append_pair("layer", layer);
+        }
+        if let Some(seconds) = transition_s {
+            let seconds = seconds.to_string();
+            url.query_pairs_mut().append_pair("transition_s", &seconds);
+        }
+        url
+    }
+
     /// The server's counters.
     ///
     /// # Errors
@@ -208,7 +276,17 @@ impl HttpApi {
                 .header(header::IF_MATCH, etag)
                 .body(patch.to_string());
         }
-        let (headers, body) = self.answer(request, method, &url).await?;
+        self.scene_of(request, method, &url).await
+    }
+
+    /// The scene that a request is answered with.
+    async fn scene_of(
+        &self,
+        request: reqwest::RequestBuilder,
+        method: Method,
+        url: &reqwest::Url,
+    ) -> Result<SceneRevision, HttpApiError> {
+        let (headers, body) = self.answer(request, method, url).await?;
         let bad = |reason: String| HttpApiError::BadAnswer {
             url: url.to_string(),
             reason,
@@ -230,6 +308,17 @@ impl HttpApi {
         method: Method,
         url: &reqwest::Url,
     ) -> Result<(header::HeaderMap, Vec<u8>), HttpApiError> {
+        self.answer_up_to(BODY_MAX_BYTES, request, method, url)
+            .await
+    }
+
+    async fn answer_up_to(
+        &self,
+        body_max_bytes: usize,
+        request: reqwest::RequestBuilder,
+        method: Method,
+        url: &reqwest::Url,
+    ) -> Result<(header::HeaderMap, Vec<u8>), HttpApiError> {
         let failed = |cause| HttpApiError::Request {
             method: method.clone(),
             url: url.to_string(),
@@ -238,11 +327,13 @@ impl HttpApi {
         let response = request.send().await.map_err(failed)?;
         let status = response.status();
         let headers = response.headers().clone();
-        let body = bounded_body(response).await.map_err(failed)?;
+        let body = bounded_body(response, body_max_bytes)
+            .await
+            .map_err(failed)?;
         let Some(body) = body else {
             return Err(HttpApiError::BadAnswer {
                 url: url.to_string(),
-                reason: format!("the answer is longer than {BODY_MAX_BYTES} bytes"),
+                reason: format!("the answer is longer than {body_max_bytes} bytes"),
             });
         };
         if status.is_success() {
@@ -259,10 +350,13 @@ impl HttpApi {
 }
 
 /// None if it is too long.
-async fn bounded_body(mut response: Response) -> Result<Option<Vec<u8>>, reqwest::Error> {
+async fn bounded_body(
+    mut response: Response,
+    body_max_bytes: usize,
+) -> Result<Option<Vec<u8>>, reqwest::Error> {
     let mut body = Vec::new();
     while let Some(chunk) = response.chunk().await? {
-        if body.len() + chunk.len() > BODY_MAX_BYTES {
+        if body.len() + chunk.len() > body_max_bytes {
             return Ok(None);
         }
         body.extend_from_slice(&chunk);

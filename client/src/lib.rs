@@ -15,6 +15,6 @@ pub mod server_stats;
 pub mod unix_time;
 
 pub use connection::{Connection, ConnectionError, ConnectionLimits, Event, Frame};
-pub use http_api::{HttpApi, HttpApiError, SceneRevision};
+pub use http_api::{HttpApi, HttpApiError, MapChoice, SceneRevision};
 pub use server_address::{ServerAddress, ServerAddressError};
 pub use server_stats::ServerStats;

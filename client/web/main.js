@@ -6,6 +6,7 @@
  */
 
 import { connect } from "./connection.js";
+import { attachMaps } from "./maps.js";
 import { attachLook, clamp, compassPoint } from "./look.js";
 import { pictureSize } from "./picture-size.js";
 import { createView } from "./view.js";
@@ -100,6 +101,14 @@ const look = attachLook(canvas, {
     connection.setCamera(camera);
     showHeading();
   },
+});
+
+attachMaps({
+  panel: element("maps", HTMLElement),
+  zones: element("map-zones", HTMLElement),
+  told: element("map-told", HTMLElement),
+  seconds: element("map-seconds", HTMLInputElement),
+  opener: element("maps-button", HTMLButtonElement),
 });
 
 function applySize() {

@@ -161,3 +161,131 @@ fn assert_shows_a_sky(file: &Path, canvas: [f64; 4]) -> anyhow::Result<()> {
     );
     Ok(())
 }
+
+/// Fires a drag event with one file at an element of the page.
+fn drag_file(event: &str, at: &str, name: &str, bytes: &[u8]) -> String {
+    use base64::Engine as _;
+    let content = base64::engine::general_purpose::STANDARD.encode(bytes);
+    format!(
+        "(() => {{ const files = new DataTransfer(); \
+         const bytes = Uint8Array.from(atob('{content}'), (letter) => letter.charCodeAt(0)); \
+         files.items.add(new File([bytes], '{name}')); \
+         const target = document.querySelector('{at}'); \
+         const event = new DragEvent('{event}', {{ dataTransfer: files, bubbles: true, cancelable: true }}); \
+         target.dispatchEvent(event); return event.defaultPrevented; }})()"
+    )
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_file_dropped_on_a_zone_replaces_that_map_and_one_that_is_no_map_is_told()
+-> anyhow::Result<()> {
+    use skycell_server::field::{GreyMap, MapFileFormat};
+    let Some(program) = Browser::find() else {
+        use std::io::Write as _;
+        let _ = writeln!(std::io::stderr(), "SKIPPED page test: no chromium in PATH");
+        return Ok(());
+    };
+    let server = Server::start_calm().await?;
+    let browser = Browser::start(&program).await?;
+    let tab = browser
+        .open(&server.url("?width=320&height=180&fps=5"))
+        .await?;
+    tab.wait_for(SHOWS_FRAMES).await?;
+    let map = GreyMap {
+        width: 2,
+        height: 1,
+        values: vec![0.0, 1.0],
+    };
+    let storm = map.encode(MapFileFormat::Png)?;
+
+    // A file over the page shows where it can go; three zones for the only layer.
+    assert_eq!(
+        tab.evaluate("document.getElementById('maps').hidden")
+            .await?,
+        true
+    );
+    let enter = drag_file("dragenter", "#picture", "storm.png", &storm);
+    assert_eq!(
+        tab.evaluate(&enter).await?,
+        true,
+        "the browser would take the file"
+    );
+    let zone = "#maps:not([hidden]) .zone[data-map=coverage][data-layer=low]";
+    tab.wait_for(&format!(
+        "document.querySelector('{zone}') !== null && document.querySelectorAll('.zone').length === 3"
+    ))
+    .await?;
+    let drop = drag_file("drop", zone, "storm.png", &storm);
+    assert_eq!(
+        tab.evaluate(&drop).await?,
+        true,
+        "the browser would take the file"
+    );
+    tab.wait_for(
+        "document.getElementById('map-told').textContent === 'storm.png is the coverage map of layer low.'",
+    )
+    .await?;
+    let scene = server.api().scene().await?;
+    let maps = &scene.document["layers"][0]["density"]["maps"];
+    assert!(maps["coverage"].is_string(), "{maps}");
+    assert_eq!(
+        maps["transition_s"], 5.0,
+        "the page asks for a change that can be seen"
+    );
+    let revision = scene.revision().context("a revision")?;
+    tab.wait_for(&format!(
+        "window.skycell.status.header.scene_revision === {revision}"
+    ))
+    .await?;
+
+    // A file that is no map: told in the server's words, and the map stays.
+    let drop = drag_file("drop", zone, "notes.txt", b"no picture");
+    tab.evaluate(&drop).await?;
+    tab.wait_for(
+        "(() => { const told = document.getElementById('map-told'); return told.classList.contains('problem') \
+         && told.textContent.includes('stays as it is') && told.textContent.includes('PNG or EXR'); })()",
+    )
+    .await?;
+    let folder = target_dir()?.join("page-screenshots");
+    tab.screenshot(&folder.join("maps.png")).await?;
+    // Beside the zones nothing happens but advice.
+    let beside = drag_file("drop", "#heading", "storm.png", &storm);
+    assert_eq!(
+        tab.evaluate(&beside).await?,
+        true,
+        "the browser would take the file"
+    );
+    tab.wait_for(
+        "document.getElementById('map-told').textContent.startsWith('Drop the file on the map')",
+    )
+    .await?;
+    assert_eq!(server.api().scene().await?.revision(), Some(revision));
+
+    // The generated map again, by its button; then the zones go.
+    tab.evaluate(&format!(
+        "(() => {{ document.querySelector('{zone} button').click(); return true; }})()"
+    ))
+    .await?;
+    tab.wait_for(
+        "document.getElementById('map-told').textContent === 'Layer low has its generated coverage map again.'",
+    )
+    .await?;
+    let scene = server.api().scene().await?.document;
+    assert!(scene["layers"][0]["density"]["maps"]["coverage"].is_null());
+    tab.evaluate(
+        "(() => { dispatchEvent(new KeyboardEvent('keydown', { key: 'Escape' })); return true; })()",
+    )
+    .await?;
+    assert_eq!(
+        tab.evaluate("document.getElementById('maps').hidden")
+            .await?,
+        true
+    );
+    // The browser notes the refused request; nothing else.
+    let errors = browser.console_errors();
+    assert!(
+        errors.len() <= 1 && errors.iter().all(|error| error.contains("415")),
+        "errors on the console: {errors:#?}"
+    );
+    Ok(())
+}

@@ -3,6 +3,7 @@
 pub(crate) mod load;
 pub(crate) mod record;
 pub(crate) mod scene;
+mod scene_map;
 
 use std::io::Write;
 use std::path::Path;

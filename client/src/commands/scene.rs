@@ -8,14 +8,15 @@ use serde_json::{Value, json};
 use skycell_client::{HttpApi, SceneRevision, ServerAddress};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-use super::{print_line, read_json};
+use super::{print_line, read_json, scene_map};
 
 const EXAMPLES: &str = "\
 Examples:
   skycell scene get
   skycell scene patch '{\"wind\": {\"speed_m_per_s\": 12}}'
   skycell scene patch - < patch.json
-  skycell scene watch --changes 3";
+  skycell scene watch --changes 3
+  skycell scene map put coverage storm.png --transition-s 60";
 
 /// Reads, changes or watches the scene.
 #[derive(Debug, clap::Args)]
@@ -51,6 +52,8 @@ enum Command {
         #[arg(long, value_name = "REVISION")]
         if_match: Option<u64>,
     },
+    /// Replaces, fetches or resets a map of a layer.
+    Map(scene_map::Arguments),
     /// Prints the scene now and whenever it changes.
     #[command(after_help = "Example:\n  skycell scene watch --changes 3 --for-s 600")]
     Watch {
@@ -85,6 +88,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
             }
             print_line(&format!("revision {}", revision_text(&scene)))
         }
+        Command::Map(arguments) => scene_map::run(arguments, &api, json).await,
         Command::Watch {
             changes,
             for_s,
@@ -149,7 +153,7 @@ async fn watch(
     Ok(())
 }
 
-fn print_scene(scene: &SceneRevision, json: bool) -> anyhow::Result<()> {
+pub(super) fn print_scene(scene: &SceneRevision, json: bool) -> anyhow::Result<()> {
     if json {
         let line =
             json!({"revision": scene.revision(), "etag": scene.etag, "scene": scene.document});
@@ -160,7 +164,7 @@ fn print_scene(scene: &SceneRevision, json: bool) -> anyhow::Result<()> {
     print_line(&serde_json::to_string_pretty(&scene.document)?)
 }
 
-fn revision_text(scene: &SceneRevision) -> String {
+pub(super) fn revision_text(scene: &SceneRevision) -> String {
     scene
         .revision()
         .map_or_else(|| scene.etag.clone(), |revision| revision.to_string())

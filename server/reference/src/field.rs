@@ -24,6 +24,33 @@ pub struct WeatherMaps {
     pub profile: TexelMap,
 }
 
+impl WeatherMaps {
+    /// These maps when `share` of the way to others of the same sizes is gone: values linearly; of the skips the shorter
+    /// one, because a mix of two coverages can hold cloud only where one of both can.
+    #[must_use]
+    pub fn blended(&self, to: &Self, share: f64) -> Self {
+        let mix = |a: f64, b: f64| (1.0 - share) * a + share * b;
+        Self {
+            coverage: self.coverage.zipped(&to.coverage, mix),
+            cloud_type: self.cloud_type.zipped(&to.cloud_type, mix),
+            skip: self.skip.zipped(&to.skip, f64::min),
+            profile: self.profile.zipped(&to.profile, mix),
+        }
+    }
+
+    /// The same values as a texture of fewer digits holds them; skips are held exactly.
+    #[must_use]
+    pub fn stored(&self, stored: impl Fn(f64) -> f64) -> Self {
+        let keep = |map: &TexelMap| map.zipped(map, |value, _| stored(value));
+        Self {
+            coverage: keep(&self.coverage),
+            cloud_type: keep(&self.cloud_type),
+            skip: self.skip.clone(),
+            profile: keep(&self.profile),
+        }
+    }
+}
+
 /// What one layer of the scene reads.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum LayerField {

@@ -153,6 +153,22 @@ impl TexelMap {
         }
     }
 
+    /// A map of what a function makes of the values of two maps; of the first one's size.
+    pub(crate) fn zipped(&self, other: &Self, function: impl Fn(f64, f64) -> f64) -> Self {
+        let values = (0..i64::from(self.height))
+            .flat_map(|y| (0..i64::from(self.width)).map(move |x| (x, y)))
+            .map(|(x, y)| {
+                let value = function(self.texel_repeated(x, y), other.texel_repeated(x, y));
+                value.clamp(0.0, 1.0) as f32
+            })
+            .collect();
+        Self {
+            width: self.width,
+            height: self.height,
+            texels: Texels::Values(values),
+        }
+    }
+
     fn mixed(&self, (x0, x1, fx): Tap, (y0, y1, fy): Tap) -> f64 {
         let width = self.width as usize;
         let mixed = |at: &dyn Fn(usize) -> f64| {

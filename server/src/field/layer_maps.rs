@@ -1,6 +1,6 @@
 //! All maps of one weather layer, wherever they come from, as the device reads them.
 
-use super::map_file::{GreyMap, MapFileError, map_pointer};
+use super::map_file::{GreyMap, MapFileError, map_pointer, read_map_file};
 use super::maps::{MAP_SIZE, SKIP_LEVELS, skip_distances};
 use super::resample::picture_of;
 use super::store::FieldStore;
@@ -134,6 +134,21 @@ pub fn check_maps(scene: &Scene, store: &FieldStore, folder: &Path) -> Result<()
         }
     }
     Ok(())
+}
+
+/// The content of all files of maps that a scene names, as hashes: their names do not tell.
+#[must_use]
+pub fn content_of_maps(scene: &Scene, folder: &Path) -> String {
+    let mut content = String::new();
+    for layer in scene.layers() {
+        if let DensityModel::Weather(weather) = layer.density() {
+            for file in MapKind::ALL.iter().filter_map(|k| weather.maps().file(*k)) {
+                let bytes = read_map_file(folder, file).unwrap_or_default();
+                content.push_str(&format!("{:032x} ", xxhash_rust::xxh3::xxh3_128(&bytes)));
+            }
+        }
+    }
+    content
 }
 
 #[cfg(test)]

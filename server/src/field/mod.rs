@@ -12,7 +12,7 @@ mod store;
 mod volumes;
 
 pub use grid::{GridError, VoxelGrid, check_grids, load_grid};
-pub use layer_maps::{LayerMaps, MapFormat, check_maps};
+pub use layer_maps::{LayerMaps, MapFormat, check_maps, content_of_maps};
 pub use map_file::{
     GreyMap, MAP_FILE_MAX_BYTES, MAP_SIDE_MAX, MapFileError, MapFileFormat, map_pointer,
     read_map_file,

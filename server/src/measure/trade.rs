@@ -123,6 +123,7 @@ fn prepared(arguments: &TradeArguments, scene: &Scene) -> anyhow::Result<Prepare
         arguments.time_s.to_string(),
         still.adapter(),
         version(),
+        crate::field::content_of_maps(scene, &inputs.grids_dir),
     ];
     let source = arguments.reference_source(&camera);
     let work: f64 = planned.iter().map(|p| p.settings.expected_work()).sum();

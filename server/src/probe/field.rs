@@ -53,6 +53,7 @@ pub struct FieldProbe {
     gpu: Gpu,
     pipelines: Pipelines,
     cell: CellBuffers,
+    field: FieldTextures,
     keys: Vec<PipelineKey>,
     uniform: layout::Scene,
     active: Vec<ActiveLayer>,
@@ -111,6 +112,7 @@ impl FieldProbe {
             gpu,
             pipelines,
             cell,
+            field,
             keys,
             uniform,
             active,
@@ -127,6 +129,26 @@ impl FieldProbe {
         for key in &self.keys {
             self.pipelines.prepare(&self.gpu, *key)?;
         }
+        Ok(())
+    }
+
+    /// Gives the scene's layers other maps, which have been on their way for `passed_s` of the transition that they ask for.
+    /// The scene must not differ in anything else.
+    ///
+    /// # Errors
+    /// When the pass that blends maps cannot be made.
+    pub fn change_maps(
+        &mut self,
+        scene: &Scene,
+        passed_s: f64,
+        maps_dir: &Path,
+    ) -> Result<(), GpuError> {
+        let maps = placed_weather(scene, &self.active);
+        let layout = &self.pipelines.field_layout;
+        self.field.set_maps(&self.gpu, layout, &maps, maps_dir);
+        self.field.advance_maps(passed_s);
+        self.field.show_maps(&self.gpu, &mut self.pipelines)?;
+        self.cell.set_field_group(&self.field.bind_group);
         Ok(())
     }
 

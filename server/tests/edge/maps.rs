@@ -91,9 +91,21 @@ async fn a_map_that_is_put_is_the_scenes_comes_back_survives_a_restart_and_can_b
     assert_eq!(known.status(), 304);
 
     // The same file again changes nothing; another kind does.
-    let again = put(&world, "coverage", Some("*"), file(&map, MapFileFormat::Exr)).await;
+    let again = put(
+        &world,
+        "coverage",
+        Some("*"),
+        file(&map, MapFileFormat::Exr),
+    )
+    .await;
     assert_eq!(again.headers()["etag"], "\"2\"");
-    let other = put(&world, "profile", Some("\"2\""), file(&map, MapFileFormat::Png)).await;
+    let other = put(
+        &world,
+        "profile",
+        Some("\"2\""),
+        file(&map, MapFileFormat::Png),
+    )
+    .await;
     assert_eq!(other.headers()["etag"], "\"3\"");
 
     let World {
@@ -103,9 +115,22 @@ async fn a_map_that_is_put_is_the_scenes_comes_back_survives_a_restart_and_can_b
     let (service, _renderer) = start_in(folder.path(), Behaviour::default(), |_| {}).await;
     let url = format!("http://{}/api/v1/scene", service.address());
     let http = reqwest::Client::new();
-    let kept: Value = http.get(&url).send().await.expect("an answer").json().await.expect("JSON");
-    assert_eq!(kept["layers"][0]["density"]["maps"]["coverage"], json!(name));
-    let kept = http.get(format!("{url}/maps/coverage?format=exr")).send().await;
+    let kept: Value = http
+        .get(&url)
+        .send()
+        .await
+        .expect("an answer")
+        .json()
+        .await
+        .expect("JSON");
+    assert_eq!(
+        kept["layers"][0]["density"]["maps"]["coverage"],
+        json!(name)
+    );
+    let kept = http
+        .get(format!("{url}/maps/coverage?format=exr"))
+        .send()
+        .await;
     let bytes = kept.expect("an answer").bytes().await.expect("bytes");
     assert_eq!(GreyMap::decode(&bytes).expect("a map"), map);
 
@@ -129,7 +154,9 @@ async fn what_is_no_map_is_refused_with_a_reason_and_the_old_map_stays() {
     let world = start().await;
     let good = file(&ramp(4, 4), MapFileFormat::Png);
     assert_eq!(
-        put(&world, "type", Some("\"1\""), good.clone()).await.status(),
+        put(&world, "type", Some("\"1\""), good.clone())
+            .await
+            .status(),
         200
     );
     let before = world.get_json("/api/v1/scene").await;
@@ -167,7 +194,11 @@ async fn what_is_no_map_is_refused_with_a_reason_and_the_old_map_stays() {
     }
     let huge = vec![0; MAP_FILE_MAX_BYTES as usize + 1];
     let refused = problem(put(&world, "type", Some("*"), huge).await, 413).await;
-    assert!(refused["detail"].as_str().is_some_and(|d| d.contains("67108864")));
+    assert!(
+        refused["detail"]
+            .as_str()
+            .is_some_and(|d| d.contains("67108864"))
+    );
 
     // Not for this scene, not this map, not this layer, not this time.
     problem(put(&world, "type", None, good.clone()).await, 428).await;
@@ -175,7 +206,11 @@ async fn what_is_no_map_is_refused_with_a_reason_and_the_old_map_stays() {
     problem(put(&world, "height", Some("*"), good.clone()).await, 404).await;
     let refused = put(&world, "type?layer=high", Some("*"), good.clone()).await;
     let refused = problem(refused, 422).await;
-    assert!(refused["allowed"].as_str().is_some_and(|a| a.contains("low")));
+    assert!(
+        refused["allowed"]
+            .as_str()
+            .is_some_and(|a| a.contains("low"))
+    );
     let refused = put(&world, "coverage?transition_s=-1", Some("*"), good.clone()).await;
     let refused = problem(refused, 422).await;
     assert_eq!(refused["pointer"], "/layers/0/density/maps/transition_s");
@@ -206,14 +241,19 @@ async fn a_generated_map_can_be_fetched_and_put_back_and_layers_are_told_apart()
     assert!(row(0).iter().all(|v| *v < 0.1), "{:?}", row(0));
     assert!(row(map.height as usize * 3 / 4).iter().any(|v| *v > 0.5));
 
-    let two = json!([{"name": "low"}, {"name": "high", "base_altitude_m": 5000, "top_altitude_m": 6000}]);
+    let two =
+        json!([{"name": "low"}, {"name": "high", "base_altitude_m": 5000, "top_altitude_m": 6000}]);
     let patched = world
         .patch(Some("*"), &json!({"layers": two}).to_string())
         .await;
     assert_eq!(patched.status(), 200);
     let unnamed = put(&world, "profile", Some("*"), made.clone()).await;
     let unnamed = problem(unnamed, 422).await;
-    assert!(unnamed["allowed"].as_str().is_some_and(|a| a.ends_with("low, high")));
+    assert!(
+        unnamed["allowed"]
+            .as_str()
+            .is_some_and(|a| a.ends_with("low, high"))
+    );
     let named = put(&world, "profile?layer=high", Some("*"), made.clone()).await;
     let document: Value = named.json().await.expect("JSON");
     let file = |layer: usize| &document["layers"][layer]["density"]["maps"]["profile"];

@@ -9,6 +9,7 @@ mod fields;
 mod frames;
 mod layers;
 mod line;
+mod maps;
 mod octaves;
 mod phase;
 mod place;
@@ -25,7 +26,7 @@ use stage::{Stage, stage};
 type Run = fn(&mut Stage) -> Line;
 
 /// How many cases each line has.
-const CASES: [(Run, usize); 15] = [
+const CASES: [(Run, usize); 20] = [
     (sun::anywhere, 102),
     (sun::along_the_ray, 8),
     (camera::anywhere, 92),
@@ -41,6 +42,11 @@ const CASES: [(Run, usize); 15] = [
     (frames::any, 12),
     (steps::accumulated, 8),
     (truth::at_the_ends, 64),
+    (maps::any, 42),
+    (maps::blends, 10),
+    (maps::refused, 4),
+    (maps::evolution, 5),
+    (maps::mixed, 1),
 ];
 
 fn check(index: usize) {
@@ -78,4 +84,9 @@ lines! {
     frames_may_have_any_size_of_the_document = 12;
     a_mean_of_a_hundred_thousand_frames_does_not_drift = 13;
     pictures_at_the_ends_are_the_references_to_a_thousandth = 14;
+    maps_may_have_any_side_any_constant_and_sixteen_bits = 15;
+    a_blend_begins_at_the_old_sky_and_ends_at_the_new_one = 16;
+    files_that_hold_no_coverages_are_refused_by_their_value = 17;
+    noise_may_rise_for_a_month = 18;
+    maps_on_their_way_are_the_references_mix = 19;
 }

@@ -2,7 +2,7 @@
 
 use super::line::Line;
 use super::stage::{Stage, stage};
-use super::{camera, depth, layers, phase, shells, steps};
+use super::{camera, depth, layers, maps, phase, shells, steps};
 use skycell_shaders::SourceEdit;
 
 /// What is planted where; the text must be there.
@@ -27,7 +27,7 @@ type Case = (
     fn(&mut Stage) -> Line,
 );
 
-const DEFECTS: [Case; 8] = [
+const DEFECTS: [Case; 9] = [
     (
         "shell roots from squares of radii",
         edit!(
@@ -98,6 +98,16 @@ const DEFECTS: [Case; 8] = [
         ),
         "layers",
         layers::any,
+    ),
+    (
+        "maps blended the wrong way round",
+        edit!(
+            "cloud/blend.wgsl",
+            "mix(old.xy, new.xy, share)",
+            "mix(new.xy, old.xy, share)"
+        ),
+        "maps on their way",
+        maps::mixed,
     ),
     (
         "rays that end after four times their steps",

@@ -24,7 +24,7 @@ pub(crate) struct Stage {
     still: StillRenderer,
     /// Sky time so far, s.
     time_s: f64,
-    /// Where grids' files lie.
+    /// Where files of grids and maps lie.
     pub(crate) grids_dir: PathBuf,
 }
 
@@ -48,6 +48,7 @@ impl Stage {
             .expect("a target folder")
             .join("grids-of-extremes");
         std::fs::create_dir_all(&config.grids_dir).expect("a folder");
+        config.maps_dir = config.grids_dir.clone();
         let grids_dir = config.grids_dir.clone();
         let still = StillRenderer::new(config, Arc::default(), &[]).expect("a device");
         println!("{}", still.adapter());

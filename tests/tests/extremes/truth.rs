@@ -5,39 +5,56 @@ use super::stage::{SCREEN, STEPS, Stage, eye, size, weather};
 use glam::DVec3;
 use serde_json::{Value, json};
 use skycell_protocol::{Camera, Scene};
-use skycell_reference::Approximations;
 use skycell_reference::march::MarchSteps;
 use skycell_reference::picture::{Projection, Renderer, render};
+use skycell_reference::{Approximations, World};
 use skycell_server::truth::reference_world;
 use skycell_tests::server::target_dir;
 
 /// Relative L2 of linear radiance.
 const L2_MAX: f64 = 1e-3;
 
-fn compare(stage: &mut Stage, line: &mut Line, what: &str, document: &Value, camera: Camera) {
-    let size = size(16, 9);
+pub(crate) fn compare(
+    stage: &mut Stage,
+    line: &mut Line,
+    what: &str,
+    document: &Value,
+    camera: Camera,
+) {
     stage.scene(document);
-    let mut settings = super::stage::settings(SCREEN);
-    settings.march.exact_interpolation = true;
-    settings.march.jitter = false;
-    let picture = stage.look_with(camera, size, &settings);
     let scene = Scene::from_json(document).expect("valid");
     let noise = target_dir().expect("a folder").join("noise-of-tests");
     let world = reference_world(
         &scene,
         &noise,
-        &noise,
+        &stage.grids_dir,
         0.0,
         DVec3::from_array(camera.position_m()),
         Approximations::ALL,
     )
     .expect("a world");
+    compare_with(stage, line, what, &world, camera);
+}
+
+/// The scene on stage against a world in the frame under the camera.
+pub(crate) fn compare_with(
+    stage: &mut Stage,
+    line: &mut Line,
+    what: &str,
+    world: &World,
+    camera: Camera,
+) {
+    let size = size(16, 9);
+    let mut settings = super::stage::settings(SCREEN);
+    settings.march.exact_interpolation = true;
+    settings.march.jitter = false;
+    let picture = stage.look_with(camera, size, &settings);
     let steps = MarchSteps {
         steps: STEPS,
         ..MarchSteps::default()
     };
     let projection = Projection::Pinhole { camera, size };
-    let truth = render(&world, &projection, &Renderer::March(steps), || {}).expect("a picture");
+    let truth = render(world, &projection, &Renderer::March(steps), || {}).expect("a picture");
     let (mut apart, mut whole) = (0.0, 0.0);
     for (found, ray) in picture.linear.chunks_exact(4).zip(&truth.rays) {
         for (found, exact) in found.iter().zip(ray.radiance.to_array()) {

@@ -13,14 +13,14 @@ use skycell_server::probe::{FieldPoint, FieldQuestion};
 use skycell_server::truth::reference_field;
 use skycell_tests::numbers::{Random, U, wide, worst};
 
-const SPAN_M: f64 = 40_000.0;
+pub(crate) const SPAN_M: f64 = 40_000.0;
 
 fn weather() -> Value {
     json!({"version": 1, "layers": [{"density": {"model": "weather", "coverage": 0.6, "detail_strength": 0.5}}]})
 }
 
 /// Places in and around the default layer, up to 30 km away; every weight of the detail.
-fn places(count: usize) -> Vec<FieldPoint> {
+pub(crate) fn places(count: usize) -> Vec<FieldPoint> {
     let mut random = Random(11);
     (0..count)
         .map(|index| {
@@ -41,7 +41,7 @@ fn places(count: usize) -> Vec<FieldPoint> {
         .collect()
 }
 
-fn reach_m(position: DVec3) -> f64 {
+pub(crate) fn reach_m(position: DVec3) -> f64 {
     8.0 * U * (position.abs().max_element() + SPAN_M)
 }
 

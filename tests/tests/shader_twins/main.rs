@@ -4,6 +4,7 @@
 
 mod density;
 mod geometry;
+mod maps;
 mod march;
 mod phase;
 mod sky;

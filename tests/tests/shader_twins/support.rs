@@ -41,24 +41,29 @@ pub(crate) fn noise_dir() -> PathBuf {
 impl SceneProbe {
     /// `exact`: textures are interpolated in f32.
     pub(crate) fn open(document: &Value, exact: bool) -> Self {
+        Self::open_at(document, exact, 0.0)
+    }
+
+    /// The scene's f64 twin at a sky time.
+    pub(crate) fn world_at(document: &Value, time_s: f64) -> World {
+        let scene = Scene::from_json(document).expect("a valid document");
+        let noise = noise_dir();
+        let (origin, all) = (DVec3::ZERO, Approximations::ALL);
+        reference_world(&scene, &noise, &noise, time_s, origin, all).expect("a world")
+    }
+
+    /// As [`Self::open`], at a sky time.
+    pub(crate) fn open_at(document: &Value, exact: bool, time_s: f64) -> Self {
         let scene = Scene::from_json(document).expect("a valid document");
         let noise = noise_dir();
         let settings = MarchSettings {
             exact_interpolation: exact,
             ..MarchSettings::default()
         };
-        let device = FieldProbe::open(&scene, settings, DVec3::ZERO, 0.0, &noise, &noise);
-        let world = reference_world(
-            &scene,
-            &noise,
-            &noise,
-            0.0,
-            DVec3::ZERO,
-            Approximations::ALL,
-        );
+        let device = FieldProbe::open(&scene, settings, DVec3::ZERO, time_s, &noise, &noise);
         Self {
             device: device.expect("a device"),
-            world: world.expect("a world"),
+            world: Self::world_at(document, time_s),
         }
     }
 

@@ -1,0 +1,169 @@
+//! Maps replaced while people watch: a sky gathers and clears, bad files change nothing, a restart keeps all.
+
+use std::time::Duration;
+
+use anyhow::{Context, ensure};
+use serde_json::json;
+use skycell_client::{HttpApiError, MapChoice};
+use skycell_protocol::scene::MapKind;
+use skycell_server::field::{GreyMap, MapFileFormat};
+use skycell_tests::picture::{decoded, mean_difference};
+use skycell_tests::server::total_of;
+use skycell_tests::{Server, ServerOptions, Viewer};
+
+type Outcome = anyhow::Result<()>;
+
+/// As in `end_to_end.rs`: pictures of other clouds differ by more, 8-bit steps in the mean.
+const OTHER_PICTURE: f64 = 1.0;
+
+fn choice(kind: MapKind) -> MapChoice {
+    MapChoice { kind, layer: None }
+}
+
+/// A map of one texel.
+fn constant(value: f32) -> anyhow::Result<Vec<u8>> {
+    let map = GreyMap {
+        width: 1,
+        height: 1,
+        values: vec![value],
+    };
+    Ok(map.encode(MapFileFormat::Png)?)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_sky_clears_at_once_gathers_over_time_comes_to_rest_and_survives_a_power_cut() -> Outcome
+{
+    let state = tempfile::tempdir()?;
+    let options = ServerOptions {
+        state_dir: Some(state.path().join("state")),
+        ..ServerOptions::default()
+    };
+    let server = Server::start_with(options.clone()).await?;
+    server.calm().await?;
+    let viewer = Viewer::join(&server, 0.0).await?;
+    server.at_rest(1).await?;
+    let cloudy = decoded(viewer.seen().frame()?)?;
+    let api = server.api();
+    let coverage = choice(MapKind::Coverage);
+
+    // At once, because the scene says nothing else.
+    let scene = api
+        .set_map(&coverage, Some(constant(0.0)?), None, "*")
+        .await?;
+    let revision = scene.revision().context("a revision")?;
+    viewer
+        .wait_for("a frame of the new scene", |seen| {
+            seen.frame
+                .as_ref()
+                .is_some_and(|frame| frame.header.scene_revision >= revision)
+        })
+        .await?;
+    server.at_rest(1).await?;
+    let clear = decoded(viewer.seen().frame()?)?;
+    let difference = mean_difference(&clear, &cloudy);
+    ensure!(
+        difference > OTHER_PICTURE,
+        "the cleared sky differs by {difference}"
+    );
+
+    // A file that is no map: refused with the reason, and nothing has happened.
+    let refused = api
+        .set_map(&coverage, Some(b"no picture".to_vec()), None, "*")
+        .await;
+    match refused {
+        Err(HttpApiError::Refused {
+            status, problem, ..
+        }) => {
+            ensure!(status == 415, "{status}");
+            ensure!(problem.detail.contains("PNG or EXR"), "{}", problem.detail);
+        }
+        other => anyhow::bail!("not refused: {other:?}"),
+    }
+    ensure!(api.scene().await?.revision() == Some(revision));
+
+    // Overcast in six seconds: step by step.
+    let started = tokio::time::Instant::now();
+    let before = server.total("texels_updated").await?;
+    api.set_map(&coverage, Some(constant(1.0)?), Some(6.0), "*")
+        .await?;
+    let mut on_the_way = Vec::new();
+    while started.elapsed() < Duration::from_secs(6) {
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        on_the_way.push(mean_difference(&decoded(viewer.seen().frame()?)?, &clear));
+    }
+    let stats = server.at_rest(1).await?;
+    let overcast = decoded(viewer.seen().frame()?)?;
+    let whole = mean_difference(&overcast, &clear);
+    println!("of {whole:.2} steps on the way: {on_the_way:.2?}");
+    ensure!(
+        whole > 4.0 * OTHER_PICTURE,
+        "the gathered sky differs by {whole}"
+    );
+    // Nothing at first, and pictures between clear and overcast.
+    ensure!(on_the_way[0] < 0.25 * whole, "{on_the_way:?} of {whole}");
+    let between = on_the_way
+        .iter()
+        .filter(|d| (0.1 * whole..0.9 * whole).contains(*d))
+        .count();
+    ensure!(between >= 3, "{on_the_way:?} of {whole}");
+    // In steps: not every texel in every frame.
+    let marched = total_of(&stats, "texels_updated")? - before;
+    println!("{marched} texels marched on the way");
+
+    // At rest it costs nothing.
+    let rested = server.total("texels_updated").await?;
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    ensure!(server.total("texels_updated").await? == rested);
+
+    // What was put is what is fetched; a killed server knows it again.
+    let file = api.map(&coverage, "png").await?;
+    ensure!(GreyMap::decode(&file)?.values == [1.0]);
+    drop(viewer);
+    server.kill()?;
+    let server = Server::start_with(options).await?;
+    let viewer = Viewer::join(&server, 0.0).await?;
+    server.at_rest(1).await?;
+    let again = decoded(viewer.seen().frame()?)?;
+    let difference = mean_difference(&again, &overcast);
+    ensure!(
+        difference < 0.1,
+        "the restarted sky differs by {difference}"
+    );
+
+    // And the generated map again.
+    server
+        .api()
+        .set_map(&coverage, None, Some(0.0), "*")
+        .await?;
+    server.at_rest(1).await?;
+    let reset = decoded(viewer.seen().frame()?)?;
+    let difference = mean_difference(&reset, &cloudy);
+    ensure!(difference < 0.1, "the reset sky differs by {difference}");
+    viewer.close().await;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn noise_that_rises_ages_texels_for_as_long_as_it_rises() -> Outcome {
+    let server = Server::start_calm().await?;
+    let viewer = Viewer::join(&server, 0.0).await?;
+    server.at_rest(1).await?;
+    let mut layers = server.api().scene().await?.document["layers"].clone();
+    layers[0]["density"]["evolution_m_per_s"] = json!(20.0);
+    server.patch(&json!({"layers": layers.clone()})).await?;
+    tokio::time::sleep(Duration::from_secs(4)).await;
+    let before = server.total("texels_updated").await?;
+    let shown = decoded(viewer.seen().frame()?)?;
+    // At 20 m/s clouds 3 km away age in about two seconds.
+    tokio::time::sleep(Duration::from_secs(5)).await;
+    let marched = server.total("texels_updated").await? - before;
+    ensure!(marched > 0, "nothing was marched");
+    let later = decoded(viewer.seen().frame()?)?;
+    let difference = mean_difference(&shown, &later);
+    ensure!(difference > 0.1, "the picture differs by {difference}");
+    layers[0]["density"]["evolution_m_per_s"] = json!(0.0);
+    server.patch(&json!({"layers": layers})).await?;
+    server.at_rest(1).await?;
+    viewer.close().await;
+    Ok(())
+}
