@@ -3,14 +3,13 @@
 use std::sync::Arc;
 
 use axum::Router;
-use axum::body::{Body, to_bytes};
+use axum::body::Body;
 use axum::extract::{DefaultBodyLimit, Path, Query, State};
-use axum::http::header::{
-    ACCEPT, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_TYPE, ETAG, HeaderValue, VARY,
-};
+use axum::http::header::{ACCEPT, CONTENT_DISPOSITION, CONTENT_TYPE, ETAG, HeaderValue, VARY};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use futures_util::StreamExt;
 use serde::Deserialize;
 use skycell_protocol::scene::MapKind;
 use tokio::sync::{Semaphore, SemaphorePermit};
@@ -23,6 +22,9 @@ use crate::stream::StreamContext;
 
 /// A map of 8192 x 8192 takes hundreds of MiB while it is read or written: one at a time.
 static MAP_WORK: Semaphore = Semaphore::const_new(1);
+
+/// How much of a file that is too long is read and dropped.
+const DISCARDED_MAX_BYTES: u64 = 4 * MAP_FILE_MAX_BYTES;
 
 /// What may stand behind the question mark.
 #[derive(Debug, Deserialize)]
@@ -168,22 +170,8 @@ async fn replace(
 ) -> Result<Response, Problem> {
     let choice = choice(&kind, &query)?;
     let precondition = read_precondition(&headers)?;
-    let too_long = |bytes: String| {
-        Problem::new(
-            StatusCode::PAYLOAD_TOO_LARGE,
-            format!("a file of {bytes} bytes; allowed: at most {MAP_FILE_MAX_BYTES} bytes"),
-        )
-    };
-    let announced = headers
-        .get(CONTENT_LENGTH)
-        .and_then(|length| length.to_str().ok()?.parse::<u64>().ok());
-    if let Some(bytes) = announced.filter(|bytes| *bytes > MAP_FILE_MAX_BYTES) {
-        return Err(too_long(bytes.to_string()));
-    }
     let _turn = turn().await?;
-    let bytes = to_bytes(body, MAP_FILE_MAX_BYTES as usize)
-        .await
-        .map_err(|_| too_long(format!("more than {MAP_FILE_MAX_BYTES}")))?;
+    let bytes = read_file(body).await?;
     changed(
         "map replaced",
         blocking(move || {
@@ -194,6 +182,38 @@ async fn replace(
         })
         .await,
     )
+}
+
+/// Reads a file. One that is too long is read to its end and dropped, within reason: a client that is cut off while it
+/// sends never hears why.
+async fn read_file(body: Body) -> Result<Vec<u8>, Problem> {
+    let mut file = Vec::new();
+    let mut length = 0;
+    let mut parts = body.into_data_stream();
+    while let Some(part) = parts.next().await {
+        let part = part.map_err(|error| {
+            Problem::new(
+                StatusCode::BAD_REQUEST,
+                format!("the file broke off after {length} bytes: {error}"),
+            )
+        })?;
+        length += part.len() as u64;
+        if length <= MAP_FILE_MAX_BYTES {
+            file.extend_from_slice(&part);
+        } else {
+            file = Vec::new();
+        }
+        if length > DISCARDED_MAX_BYTES {
+            break;
+        }
+    }
+    if length > MAP_FILE_MAX_BYTES {
+        return Err(Problem::new(
+            StatusCode::PAYLOAD_TOO_LARGE,
+            format!("a file of {length} bytes; allowed: at most {MAP_FILE_MAX_BYTES} bytes"),
+        ));
+    }
+    Ok(file)
 }
 
 async fn reset(
