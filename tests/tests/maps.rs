@@ -8,7 +8,7 @@ use skycell_client::{HttpApiError, MapChoice};
 use skycell_protocol::scene::MapKind;
 use skycell_server::field::{GreyMap, MapFileFormat};
 use skycell_tests::picture::{decoded, mean_difference};
-use skycell_tests::server::total_of;
+use skycell_tests::server::{binary, total_of};
 use skycell_tests::{Server, ServerOptions, Viewer};
 
 type Outcome = anyhow::Result<()>;
@@ -165,5 +165,76 @@ async fn noise_that_rises_ages_texels_for_as_long_as_it_rises() -> Outcome {
     server.patch(&json!({"layers": layers})).await?;
     server.at_rest(1).await?;
     viewer.close().await;
+    Ok(())
+}
+
+/// What the client says, and whether it was content.
+async fn skycell(server: &Server, arguments: &[&str]) -> anyhow::Result<(bool, String)> {
+    let url = format!("ws://{}/ws", server.address());
+    let mut command = std::process::Command::new(binary("skycell")?);
+    command
+        .args(["scene", "map"])
+        .args(arguments)
+        .args(["--url", &url]);
+    let output = tokio::task::spawn_blocking(move || command.output()).await??;
+    let said = [output.stdout, output.stderr].concat();
+    Ok((output.status.success(), String::from_utf8(said)?))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_client_fetches_replaces_and_resets_maps() -> Outcome {
+    let server = Server::start_calm().await?;
+    let folder = tempfile::tempdir()?;
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (png, exr) = (path("made.png"), path("made.exr"));
+    for file in [&png, &exr] {
+        let (good, said) = skycell(&server, &["get", "coverage", file]).await?;
+        ensure!(good, "{said}");
+    }
+    let made = GreyMap::decode(&std::fs::read(&exr)?)?;
+    ensure!((made.width, made.height) == (1024, 1024));
+    // What was made in bytes is the same in 16 bits.
+    let read = GreyMap::decode(&std::fs::read(&png)?)?;
+    let worst = made
+        .values
+        .iter()
+        .zip(&read.values)
+        .map(|(a, b)| (a - b).abs());
+    ensure!(worst.fold(0.0, f32::max) < 1e-6);
+
+    let put = [
+        "put",
+        "type",
+        &png,
+        "--layer",
+        "low",
+        "--transition-s",
+        "2",
+        "--json",
+    ];
+    let (good, said) = skycell(&server, &put).await?;
+    ensure!(good, "{said}");
+    let told: serde_json::Value = serde_json::from_str(said.trim())?;
+    let maps = &told["scene"]["layers"][0]["density"]["maps"];
+    ensure!(
+        maps["type"].is_string() && maps["transition_s"] == 2.0,
+        "{told}"
+    );
+    let stale = ["reset", "type", "--if-match", "1"];
+    let (good, said) = skycell(&server, &stale).await?;
+    ensure!(!good && said.contains("412"), "{said}");
+    let (good, said) = skycell(&server, &["reset", "type"]).await?;
+    ensure!(good && said.starts_with("revision"), "{said}");
+
+    std::fs::write(path("notes.png"), "no picture")?;
+    let (good, said) = skycell(&server, &["put", "type", &path("notes.png")]).await?;
+    ensure!(
+        !good && said.contains("6e 6f 20 70") && said.contains("PNG or EXR"),
+        "{said}"
+    );
+    let (good, said) = skycell(&server, &["put", "height", &png]).await?;
+    ensure!(!good && said.contains("coverage, type, profile"), "{said}");
+    let (good, said) = skycell(&server, &["get", "type", &path("type.tiff")]).await?;
+    ensure!(!good && said.contains(".png or .exr"), "{said}");
     Ok(())
 }

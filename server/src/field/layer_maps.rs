@@ -50,6 +50,12 @@ impl MapFormat {
         }
     }
 
+    /// What keeps the digits of both.
+    #[must_use]
+    pub fn with_digits_of(self, other: Self) -> Self {
+        if self == Self::Bytes { other } else { self }
+    }
+
     /// What the device reads for a skip distance in [`SKIP_LEVELS`]: not rounded up.
     #[must_use]
     pub fn skip(self, level: u8) -> f32 {

@@ -53,6 +53,8 @@ pub enum BlendStep {
 #[derive(Debug)]
 struct Blend {
     from: LayerMaps,
+    /// What keeps all their digits.
+    from_format: MapFormat,
     elapsed_s: f64,
     duration_s: f64,
     /// Share of the new maps that marches read.
@@ -80,6 +82,8 @@ struct Held {
     weather: WeatherDensity,
     /// The maps that are shown, or will be.
     maps: LayerMaps,
+    /// What keeps all their digits.
+    format: MapFormat,
     blend: Option<Blend>,
 }
 
@@ -185,19 +189,37 @@ impl MapTextures {
     ) -> MapsChange {
         let mut change = MapsChange::default();
         let mut stale = [false; PLACES];
+        let mut before: Vec<(u32, Held)> = (0..)
+            .zip(&mut self.held)
+            .filter_map(|(place, held)| Some((place, held.take()?)))
+            .collect();
         for ((place, held), stale) in (0..).zip(&mut self.held).zip(&mut stale) {
-            let old = held.take();
             if let Some(asked) = wanted.iter().find(|asked| asked.place == place) {
-                let (new, is_stale) = hold(old, asked, store, folder);
+                // A layer goes on wherever it stands now.
+                let known = before.iter().position(|(_, old)| old.name == asked.name);
+                let old = known.map(|index| before.swap_remove(index));
+                let has_moved = old
+                    .as_ref()
+                    .is_none_or(|(old_place, _)| *old_place != place);
+                let (new, is_stale) = hold(old.map(|(_, old)| old), asked, store, folder);
                 // What has begun a blend has not changed anything yet.
-                change.content |= is_stale && new.blend.is_none();
-                *stale = is_stale;
+                change.content |= has_moved || (is_stale && new.blend.is_none());
+                *stale = is_stale || has_moved;
                 *held = Some(new);
             }
         }
-        let format = MapFormat::of(self.held.iter().flatten().flat_map(|held| {
-            std::iter::once(&held.maps).chain(held.blend.as_ref().map(|blend| &blend.from))
-        }));
+        let format = self
+            .held
+            .iter()
+            .flatten()
+            .flat_map(|held| {
+                [
+                    Some(held.format),
+                    held.blend.as_ref().map(|b| b.from_format),
+                ]
+            })
+            .flatten()
+            .fold(MapFormat::Bytes, MapFormat::with_digits_of);
         if format != self.format {
             (self.maps, self.profile) = textures(gpu, format);
             self.format = format;
@@ -357,7 +379,7 @@ impl MapTextures {
     }
 }
 
-/// The maps of a place for what is asked now; true when the device has others.
+/// The maps of a layer for what is asked now, and `old` is what it had; true when the device has others.
 fn hold(
     old: Option<Held>,
     asked: &PlacedWeather<'_>,
@@ -367,7 +389,7 @@ fn hold(
     let weather = asked.weather.clone();
     let name = asked.name.to_owned();
     if let Some(mut old) = old {
-        if old.name == name && old.weather.same_maps(&weather) {
+        if old.weather.same_maps(&weather) {
             let stale = skip_coverage(old.weather.coverage()) != skip_coverage(weather.coverage());
             old.weather = weather;
             if stale && let Some(blend) = &mut old.blend {
@@ -376,13 +398,18 @@ fn hold(
             return (old, stale);
         }
         let duration_s = weather.maps().transition_s();
-        if old.name == name && duration_s > 0.0 {
+        if duration_s > 0.0 {
             let from = old.shown();
             let maps = load(store, &weather, folder);
             // What is shown stays until the first step, but skips must suit both.
             let stale = from != maps;
+            let from_format = match &old.blend {
+                Some(blend) => blend.from_format.with_digits_of(old.format),
+                None => old.format,
+            };
             let blend = stale.then_some(Blend {
                 from,
+                from_format,
                 elapsed_s: 0.0,
                 duration_s,
                 shown: 0.0,
@@ -391,6 +418,7 @@ fn hold(
             let held = Held {
                 name,
                 weather,
+                format: MapFormat::of([&maps]),
                 maps,
                 blend,
             };
@@ -401,6 +429,7 @@ fn hold(
     let held = Held {
         name,
         weather,
+        format: MapFormat::of([&maps]),
         maps,
         blend: None,
     };
