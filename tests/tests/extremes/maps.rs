@@ -75,6 +75,7 @@ pub(crate) fn any(stage: &mut Stage) -> Line {
 
 pub(crate) fn blends(stage: &mut Stage) -> Line {
     let mut line = Line::new("maps on their way");
+    stage.at_time(0.0);
     write(stage, "full.png", 1024, 1024, drawn);
     write(stage, "one.png", 1, 1, |_, _| 1.0);
     // At 0 it is the old sky (but for what bytes lose in halves, beside maps of 16 bits), at the end and ever after the
@@ -121,6 +122,7 @@ pub(crate) fn blends(stage: &mut Stage) -> Line {
 /// A quarter of the way, against the f64 reference with the same mix.
 pub(crate) fn mixed(stage: &mut Stage) -> Line {
     let mut line = Line::new("maps on their way, mixed");
+    stage.at_time(0.0);
     write(stage, "bytes.png", 1024, 1024, |x, y| {
         (drawn(x, y) * 255.0).round() / 255.0
     });
@@ -182,6 +184,7 @@ pub(crate) fn refused(stage: &mut Stage) -> Line {
 
 pub(crate) fn evolution(stage: &mut Stage) -> Line {
     let mut line = Line::new("evolution");
+    stage.at_time(0.0);
     let scene = |evolution_m_per_s: f64| {
         weather(json!({"wind": {"speed_m_per_s": 0},
             "layers": [{"density": {"model": "weather", "evolution_m_per_s": evolution_m_per_s,
