@@ -25,6 +25,7 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @property {"jpeg" | "png"} [codec]
  * @property {number} [jpeg_quality]  1 to 100
  * @property {Quality | null} [quality]  null: what the scene or the server says
+ * @property {string} [show]  name of a view, as `/api/v1/views` lists them
  */
 
 /**
@@ -66,6 +67,9 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @property {number} mbit_per_s
  * @property {boolean} sky_converged
  * @property {PickedQuality | null} [quality]  null until the renderer has placed the viewer
+ * @property {string | null} [renderer]  which renderer makes the frames
+ * @property {string | null} [renderer_note]  why it is not the one that was asked for
+ * @property {string | null} [show_note]  why frames do not show the view that was asked for
  * @property {number | null} [cache_error_p50_percent]  how far half of the cached texels are from fresh ones at most
  * @property {number | null} [cache_error_p95_percent]  the same of 95 of 100
  */

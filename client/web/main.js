@@ -2,7 +2,8 @@
 /**
  * The page: one connection, one picture, one look, and a status line.
  *
- * URL parameters: yaw, pitch, fov (degrees), width, height (pixels), fps, quality (a preset).
+ * URL parameters: yaw, pitch, fov (degrees), width, height (pixels), fps, quality (a preset), show (a view's name).
+ * `/api/v1/views` lists the views.
  */
 
 import { connect } from "./connection.js";
@@ -10,6 +11,7 @@ import { attachMaps } from "./maps.js";
 import { attachLook, clamp, compassPoint } from "./look.js";
 import { pictureSize } from "./picture-size.js";
 import { createView } from "./view.js";
+import { drawBar, fetchViews, tick } from "./views.js";
 
 /** @typedef {import("./connection.js").ConnectionStatus} ConnectionStatus */
 /** @typedef {import("./picture-size.js").SizeChoice} SizeChoice */
@@ -48,6 +50,7 @@ const canvas = element("picture", HTMLCanvasElement);
 const stage = element("stage", HTMLElement);
 const size_chooser = element("size", HTMLSelectElement);
 const quality_chooser = element("quality", HTMLSelectElement);
+const show_chooser = element("show", HTMLSelectElement);
 
 const home = {
   position_m: /** @type {[number, number, number]} */ ([0, 2, 0]),
@@ -117,6 +120,30 @@ function applySize() {
   connection.setView({ ...wantedSize(welcome), fps: Math.min(parameter("fps", DEFAULT_FPS, 1, 120), welcome.max_fps) });
 }
 size_chooser.addEventListener("change", applySize);
+/** @type {import("./views.js").ShowReport[]} */
+let known_views = [];
+
+function applyShow() {
+  const name = show_chooser.value;
+  connection.setView({ show: name });
+  const scale = known_views.find((known) => known.name === name)?.scale ?? null;
+  element("legend", HTMLElement).hidden = scale === null;
+  if (scale) {
+    write("legend-low", tick(scale, 0));
+    write("legend-middle", `, in the middle ${tick(scale, 0.5)}, `);
+    write("legend-high", tick(scale, 1));
+  }
+}
+show_chooser.addEventListener("change", applyShow);
+drawBar(element("legend-bar", HTMLCanvasElement));
+void fetchViews().then((views) => {
+  known_views = views;
+  show_chooser.replaceChildren(...views.map(({ name, label }) => new Option(`${name}: ${label}`, name)));
+  if (views.length === 0) show_chooser.add(new Option("the sky", "picture"));
+  const asked = query.get("show") ?? "picture";
+  show_chooser.value = views.some(({ name }) => name === asked) ? asked : "picture";
+  if (show_chooser.value !== "picture") applyShow();
+});
 quality_chooser.addEventListener("change", () => connection.setView({ quality: wantedQuality() }));
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let resize_timer;
@@ -182,6 +209,8 @@ function showFigures(status) {
   write("texels", server ? texelsText(server) : "–");
   write("picked", server ? pickedText(server) : "–");
   write("cache-error", server ? cacheErrorText(server) : "–");
+  write("renderer", server?.renderer ?? "–");
+  write("show-note", server?.show_note ?? server?.renderer_note ?? "");
   write("picture-size", header ? `${header.width} × ${header.height}${header.coarse ? ", still coarse" : ""}` : "–");
 }
 

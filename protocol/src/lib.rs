@@ -16,6 +16,7 @@ pub mod number_range;
 pub mod quality;
 pub mod read_json;
 pub mod scene;
+pub mod show;
 pub mod value_error;
 pub mod view;
 
@@ -24,6 +25,7 @@ pub use frame::{FrameCodec, FrameHeader};
 pub use id::{CellId, FrameSequence, InputSequence, ViewerId};
 pub use quality::{QualityChoice, QualityPreset};
 pub use scene::{Scene, SceneDocument, SceneError};
+pub use show::{Show, ShowReport};
 pub use value_error::ValueError;
 pub use view::{Codec, FrameSize, JpegQuality, RendererKind};
 

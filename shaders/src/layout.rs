@@ -344,6 +344,20 @@ gpu_struct! {
 }
 
 gpu_struct! {
+    /// What a pass of the inspection adds to the picture.
+    Inspection {
+        /// Index of the layer.
+        layer: u32,
+        /// 1 when nothing has been left in the picture yet.
+        is_first: u32,
+        /// 1 when the picture is to hold colours now.
+        is_last: u32,
+        /// Top of the highest layer, m.
+        highest_top_m: f32,
+    }
+}
+
+gpu_struct! {
     /// A ray of a picture that is no pinhole camera's, in the frame of its cell.
     ListedRay {
         /// Where it starts, m.

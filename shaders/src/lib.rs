@@ -6,8 +6,10 @@
 
 pub mod layout;
 mod resources;
+mod shown;
 
 pub use resources::resources_of;
+pub use shown::{Quantity, Seen, Shown};
 
 use naga_oil::compose::{
     ComposableModuleDescriptor, Composer, NagaModuleDescriptor, ShaderDefValue,
@@ -25,6 +27,8 @@ pub enum Kernel {
     AuditTexels,
     /// One picture for one viewer.
     Composite,
+    /// What the cloud field holds, as a picture.
+    Inspect,
     /// Physical functions evaluated at given points, for tests.
     Probe,
     /// Functions of the scene and its cloud field evaluated at given points.
@@ -40,6 +44,7 @@ impl Kernel {
         Self::MarchPixels,
         Self::AuditTexels,
         Self::Composite,
+        Self::Inspect,
         Self::Probe,
         Self::ProbeField,
         Self::BlendMaps,
@@ -53,6 +58,7 @@ impl Kernel {
             Self::MarchPixels => "march_pixels",
             Self::AuditTexels => "audit_texels",
             Self::Composite => "composite",
+            Self::Inspect => "inspect",
             Self::Probe => "probe",
             Self::ProbeField => "probe_field",
             Self::BlendMaps => "blend_maps",
@@ -74,6 +80,10 @@ impl Kernel {
                 "composite/composite.wgsl",
                 include_str!("../wgsl/composite/composite.wgsl"),
             ),
+            Self::Inspect => (
+                "march/inspect.wgsl",
+                include_str!("../wgsl/march/inspect.wgsl"),
+            ),
             Self::Probe => ("probe/probe.wgsl", include_str!("../wgsl/probe/probe.wgsl")),
             Self::ProbeField => ("probe/field.wgsl", include_str!("../wgsl/probe/field.wgsl")),
             Self::BlendMaps => (
@@ -94,6 +104,18 @@ pub enum Density {
     Weather,
     /// Voxels.
     Grid,
+}
+
+/// From radiance to what a screen shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Tone {
+    /// Narkowicz's fit of ACES.
+    #[default]
+    Aces,
+    /// AgX.
+    Agx,
+    /// Khronos PBR Neutral.
+    Neutral,
 }
 
 /// What a kernel is specialised to.
@@ -121,6 +143,10 @@ pub struct Features {
     pub upsample: bool,
     /// Two by two pixels share what is behind the clouds, evaluated where they meet.
     pub shared_background: bool,
+    /// From radiance to what a screen shows.
+    pub tone: Tone,
+    /// What is shown instead of the picture.
+    pub shown: Shown,
 }
 
 impl Default for Features {
@@ -137,6 +163,8 @@ impl Default for Features {
             ray_list: false,
             upsample: false,
             shared_background: false,
+            tone: Tone::Aces,
+            shown: Shown::Picture,
         }
     }
 }
@@ -159,6 +187,8 @@ impl Features {
                 ray_list: bits & 12 == 4,
                 upsample: bits & 12 == 12,
                 shared_background: bits & 1 != 0,
+                tone: [Tone::Aces, Tone::Agx, Tone::Neutral][((bits + count) % 3) as usize],
+                shown: Shown::Picture,
             })
         })
     }
@@ -185,10 +215,15 @@ impl Features {
             ("RAY_LIST", self.ray_list),
             ("UPSAMPLE", self.upsample),
             ("SHARED_BACKGROUND", self.shared_background),
+            ("TONE_AGX", self.tone == Tone::Agx),
+            ("TONE_NEUTRAL", self.tone == Tone::Neutral),
         ] {
             if set {
                 definitions.insert(name.to_owned(), ShaderDefValue::Bool(true));
             }
+        }
+        for name in self.shown.definitions() {
+            definitions.insert(name.to_owned(), ShaderDefValue::Bool(true));
         }
         definitions
     }
@@ -239,6 +274,14 @@ const MODULES: &[(&str, &str)] = &[
     (
         "composite/shade.wgsl",
         include_str!("../wgsl/composite/shade.wgsl"),
+    ),
+    (
+        "composite/colour_scale.wgsl",
+        include_str!("../wgsl/composite/colour_scale.wgsl"),
+    ),
+    (
+        "composite/show.wgsl",
+        include_str!("../wgsl/composite/show.wgsl"),
     ),
     (
         "composite/tone.wgsl",

@@ -22,6 +22,43 @@ fn every_entry_point_validates_in_every_specialisation() {
     }
 }
 
+#[test]
+fn every_view_validates_with_every_density_and_number_of_layers() {
+    use skycell_shaders::{Density, Shown};
+    for shown in Shown::all().filter(|shown| *shown != Shown::Picture) {
+        for (layers, density) in [
+            (0, Density::Homogeneous),
+            (1, Density::Weather),
+            (2, Density::Grid),
+            (4, Density::Homogeneous),
+        ] {
+            for screen_space in [false, true] {
+                let kernel = if shown.is_inspection() {
+                    Kernel::Inspect
+                } else {
+                    Kernel::Composite
+                };
+                if shown.is_of_cache() && screen_space {
+                    continue;
+                }
+                let features = Features {
+                    layers,
+                    density,
+                    screen_space,
+                    shown,
+                    ray_list: shown == Shown::Steps,
+                    shared_background: layers == 2,
+                    ..Features::default()
+                };
+                let module = compose(kernel, features).unwrap_or_else(|error| panic!("{error}"));
+                Validator::new(ValidationFlags::all(), Capabilities::empty())
+                    .validate(&module)
+                    .unwrap_or_else(|error| panic!("{kernel:?} {features:?}: {error:?}"));
+            }
+        }
+    }
+}
+
 /// Name without the decoration that linking adds to imported items.
 fn plain_name(decorated: &str) -> &str {
     decorated.split("X_naga_oil").next().unwrap_or(decorated)
@@ -56,6 +93,7 @@ fn check<T: GpuLayout>(kernel: Kernel) {
 
 #[test]
 fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
+    check::<layout::Inspection>(Kernel::Inspect);
     check::<layout::Planet>(Kernel::MarchTexels);
     check::<layout::Sun>(Kernel::MarchTexels);
     check::<layout::Sky>(Kernel::MarchTexels);

@@ -9,7 +9,7 @@ use crate::read_json::{ObjectReader, nearest_name};
 use crate::view::FRAMES_PER_SECOND;
 use crate::{
     Camera, Codec, FrameSequence, FrameSize, InputSequence, JpegQuality, PROTOCOL_VERSION,
-    QualityChoice, RendererKind, ValueError,
+    QualityChoice, RendererKind, Show, ValueError,
 };
 
 /// A message from a client, in range throughout.
@@ -47,6 +47,8 @@ pub struct Hello {
     /// How good pictures are to be; none for what the scene or the server says.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quality: Option<QualityChoice>,
+    /// What frames show.
+    pub show: Show,
 }
 
 impl Hello {
@@ -61,6 +63,7 @@ impl Hello {
             camera,
             renderer: RendererKind::default(),
             quality: None,
+            show: Show::default(),
         }
     }
 }
@@ -95,6 +98,9 @@ pub struct ViewChange {
     /// New wish for how good pictures are to be; null for what the scene or the server says.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quality: Option<Option<QualityChoice>>,
+    /// What frames are to show now.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub show: Option<Show>,
 }
 
 impl ViewChange {
@@ -229,6 +235,7 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         "camera",
         "renderer",
         "quality",
+        "show",
     ])?;
     Ok(Hello {
         protocol,
@@ -245,6 +252,7 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         camera: members.required("camera", "a camera")?,
         renderer: members.member_or("renderer", RendererKind::default())?,
         quality: members.member_or("quality", None)?,
+        show: members.member_or("show", Show::default())?,
     })
 }
 
@@ -272,6 +280,7 @@ fn read_view_change(members: &ObjectReader<'_>) -> Result<ViewChange, ValueError
         "codec",
         "jpeg_quality",
         "quality",
+        "show",
     ])?;
     let change = ViewChange {
         width: members.optional("width")?,
@@ -283,6 +292,7 @@ fn read_view_change(members: &ObjectReader<'_>) -> Result<ViewChange, ValueError
         codec: members.optional::<Codec>("codec")?,
         jpeg_quality: read_jpeg_quality(members)?,
         quality: members.optional("quality")?,
+        show: members.optional("show")?,
     };
     // Whatever the other side is, each named side must be in range.
     change.size_after(FrameSize::new(1, 1)?)?;
@@ -439,11 +449,12 @@ mod tests {
             let codec = if png { Codec::Png } else { Codec::Jpeg };
             let jpeg_quality = JpegQuality::new(quality).expect("in range");
             let renderer = if screen_space { RendererKind::ScreenSpace } else { RendererKind::Cached };
+            let show = if png { Show::Density } else { Show::Picture };
             let size = FrameSize::new(width, height).expect("in range");
             let quality = max_error.map(|choice| choice.map(QualityChoice::MaxError));
             let messages = [
                 ClientMessage::Hello(Hello {
-                    codec, jpeg_quality, renderer, quality: quality.flatten(), ..Hello::new(size, fps, camera)
+                    codec, jpeg_quality, renderer, quality: quality.flatten(), show, ..Hello::new(size, fps, camera)
                 }),
                 ClientMessage::Camera(CameraInput { input: InputSequence(input), camera }),
                 ClientMessage::View(ViewChange {
@@ -453,6 +464,7 @@ mod tests {
                     codec: some[3].then_some(codec),
                     jpeg_quality: some[4].then_some(jpeg_quality),
                     quality,
+                    show: some[0].then_some(show),
                 }),
                 ClientMessage::Ack(Acknowledgement {
                     sequence: FrameSequence(sequence), decode_us, present_us,

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{CellId, ViewerId};
+use crate::{CellId, RendererKind, ViewerId};
 
 /// A message from a server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -72,6 +72,15 @@ pub struct Status {
     /// How good this client's pictures are; null until the renderer has placed it.
     #[serde(default)]
     pub quality: Option<PickedQuality>,
+    /// Which renderer makes this client's frames; null until the renderer has placed it.
+    #[serde(default)]
+    pub renderer: Option<RendererKind>,
+    /// Why it is not the one that was asked for; null where it is.
+    #[serde(default)]
+    pub renderer_note: Option<String>,
+    /// Why this client's frames do not show what was asked for; null where they do.
+    #[serde(default)]
+    pub show_note: Option<String>,
 }
 
 /// What the server has picked for a client.

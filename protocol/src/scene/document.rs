@@ -5,6 +5,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
 use super::maps::MapsDocument;
+use super::tone::ToneDocument;
 use crate::ValueError;
 use crate::quality::QualityChoice;
 use crate::read_json::{ObjectReader, ReadJson, document, read_name};
@@ -31,6 +32,8 @@ document! {
         "wind" => wind: WindDocument = WindDocument::default(),
         /// Brightness of the picture in stops; +1 doubles it.
         "exposure_ev" => exposure_ev: f64 = 0.0,
+        /// How radiance becomes a picture.
+        "tone" => tone: ToneDocument = ToneDocument::default(),
         /// How good pictures are to be for viewers who do not say; null for what the server is configured to.
         "quality" => quality: Option<QualityChoice> = None,
     }

@@ -9,6 +9,7 @@ pub mod ranges;
 mod sky;
 #[cfg(test)]
 mod tests;
+mod tone;
 
 use serde_json::Value;
 
@@ -25,6 +26,8 @@ pub use maps::{MapFiles, MapKind, MapsDocument};
 pub use sky::{
     AnalyticAtmosphere, Atmosphere, FLAT_RADIUS_M, Planet, Sun, UniformAtmosphere, Wind,
 };
+
+pub use tone::{AutoExposure, AutoExposureDocument, ToneCurve, ToneDocument, ToneMapping};
 
 use crate::ValueError;
 use crate::quality::QualityChoice;
@@ -43,6 +46,7 @@ pub struct Scene {
     light: Light,
     wind: Wind,
     exposure_ev: f64,
+    tone: ToneMapping,
     quality: Option<QualityChoice>,
 }
 
@@ -66,6 +70,7 @@ impl Scene {
             light: (&self.light).into(),
             wind: (&self.wind).into(),
             exposure_ev: self.exposure_ev,
+            tone: (&self.tone).into(),
             quality: self.quality,
         }
     }
@@ -114,6 +119,11 @@ impl Scene {
         self.exposure_ev
     }
 
+    /// How radiance becomes a picture.
+    pub fn tone(&self) -> &ToneMapping {
+        &self.tone
+    }
+
     /// How good pictures are to be for viewers who do not say; none for what the server is configured to.
     pub fn quality(&self) -> Option<QualityChoice> {
         self.quality
@@ -140,6 +150,7 @@ impl TryFrom<SceneDocument> for Scene {
             light: Light::try_from(document.light).map_err(|e| e.under("/light"))?,
             wind: Wind::try_from(document.wind).map_err(|e| e.under("/wind"))?,
             exposure_ev: EXPOSURE_EV.check("/exposure_ev", document.exposure_ev)?,
+            tone: ToneMapping::try_from(document.tone).map_err(|e| e.under("/tone"))?,
             quality: document
                 .quality
                 .map(|quality| quality.checked("/quality"))

@@ -72,5 +72,7 @@ pub const SUN_MARCH_DISTANCE_M: NumberRange = NumberRange::new(1.0, 1.0e5);
 pub const AMBIENT: NumberRange = NumberRange::new(0.0, 10.0);
 /// `speed_m_per_s`
 pub const WIND_SPEED_M_PER_S: NumberRange = NumberRange::new(0.0, 200.0);
-/// `/exposure_ev`
+/// `adaptation_s` of `/tone/auto_exposure`
+pub const ADAPTATION_S: NumberRange = NumberRange::new(0.0, 60.0);
+/// `/exposure_ev`, and `min_ev` and `max_ev` of `/tone/auto_exposure`
 pub const EXPOSURE_EV: NumberRange = NumberRange::new(-30.0, 30.0);

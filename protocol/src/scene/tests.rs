@@ -42,6 +42,7 @@ fn the_default_document_is_pinned() {
         },
         "wind": {"towards_deg": 90.0, "speed_m_per_s": 5.0},
         "exposure_ev": 0.0,
+        "tone": {"curve": "aces", "auto_exposure": null},
         "quality": null
     });
     assert_eq!(
@@ -134,6 +135,18 @@ fn each_kind_of_bad_document_is_refused_where_it_is_wrong() {
         ),
         (json!({"version": 1, "wind": null}), "/wind"),
         (json!({"version": 1, "exposure_ev": 31}), "/exposure_ev"),
+        (
+            json!({"version": 1, "tone": {"curve": "asec"}}),
+            "/tone/curve",
+        ),
+        (
+            json!({"version": 1, "tone": {"auto_exposure": {"min_ev": -31}}}),
+            "/tone/auto_exposure/min_ev",
+        ),
+        (
+            json!({"version": 1, "tone": {"auto_exposure": {"min_ev": 3, "max_ev": 2}}}),
+            "/tone/auto_exposure/max_ev",
+        ),
         (
             json!({"version": 1, "quality": {"max_error": 2}}),
             "/quality/max_error",

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::State;
 use serde::Serialize;
-use skycell_protocol::{CellId, Codec, RendererKind, ViewerId};
+use skycell_protocol::{CellId, Codec, RendererKind, Show, ShowReport, ViewerId};
 
 use crate::frame_loop::interface::{CellStats, RenderStats};
 use crate::stream::StreamContext;
@@ -96,6 +96,11 @@ pub(super) async fn stats(State(context): State<Arc<StreamContext>>) -> Json<Sta
                 .map(|time| time.as_duration().as_secs_f64()),
         },
     })
+}
+
+/// What frames can show, with the scales of the colours.
+pub(super) async fn views() -> Json<Vec<ShowReport>> {
+    Json(Show::ALL.map(|(_, show)| show.report()).to_vec())
 }
 
 fn report_of(viewer: &Viewer, stats: &RenderStats) -> ViewerReport {

@@ -52,6 +52,7 @@ pub fn router(context: Arc<StreamContext>) -> Router {
         .route("/api/v1/cells", get(figures::cells))
         .route("/api/v1/viewers", get(figures::viewers))
         .route("/api/v1/stats", get(figures::stats))
+        .route("/api/v1/views", get(figures::views))
         .route("/metrics", get(metrics))
         .route("/livez", get(live))
         .route("/readyz", get(ready))

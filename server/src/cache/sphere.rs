@@ -4,7 +4,9 @@ use super::address::TileKey;
 use super::pool::Slot;
 use super::requests::TileRequest;
 use glam::DVec3;
+use skycell_protocol::show::{AGE_HIGH_S, AGE_LOW_S};
 use std::collections::HashMap;
+use std::time::Instant;
 
 /// A tile is marched anew when the reference point has moved this far, as an angle seen from what it shows. About four
 /// pixels of a small picture: below it the change of perspective is not seen.
@@ -23,6 +25,8 @@ pub(super) struct Tile {
     /// Samples ever: 0 means that the slot holds nothing to show.
     visits: u32,
     generation: u32,
+    /// When the last sample was taken.
+    sampled: Option<Instant>,
     /// Reference point at the last sample, in the frame that drifts with the layer's wind.
     marched_from: DVec3,
     /// How far the noise had risen through the clouds at the last sample, m.
@@ -30,6 +34,20 @@ pub(super) struct Tile {
     /// How often the clouds had changed a little.
     refreshes: u32,
     pub(super) last_seen_frame: u64,
+}
+
+impl Tile {
+    /// Time since the last sample in 255 steps of equal ratio between the ends of the scale that it is shown by; 0 without
+    /// a time.
+    fn age_code(&self, now: Option<Instant>) -> u32 {
+        let (Some(now), Some(sampled)) = (now, self.sampled) else {
+            return 0;
+        };
+        let age_s = now.saturating_duration_since(sampled).as_secs_f64();
+        let share = (age_s / AGE_LOW_S).max(1.0).ln() / (AGE_HIGH_S / AGE_LOW_S).ln();
+        // An entry of all ones would be no tile; a level below 255 keeps it from that.
+        (255.0 * share.min(1.0)).round() as u32
+    }
 }
 
 /// What viewers ask of a tile.
@@ -296,6 +314,7 @@ impl SphereCache {
                 marched_from: DVec3::ZERO,
                 evolved_m: 0.0,
                 refreshes: self.refreshes,
+                sampled: None,
                 last_seen_frame: frame,
             },
         );
@@ -334,6 +353,7 @@ impl SphereCache {
         tile.marched_from = reference;
         tile.evolved_m = self.evolved_m;
         tile.refreshes = self.refreshes;
+        tile.sampled = Some(Instant::now());
         Some((tile.slot, index, weight))
     }
 
@@ -373,9 +393,9 @@ impl SphereCache {
     }
 
     /// The tables that a composite reads: for every level and tile the tile itself or the nearest coarser one that
-    /// holds a picture.
+    /// holds a picture. With a time, the upper eight bits tell how long ago each tile was marched.
     #[must_use]
-    pub fn page_tables(&self) -> PageTables {
+    pub fn page_tables(&self, now: Option<Instant>) -> PageTables {
         let shown = |key: &TileKey| self.tiles.get(key).filter(|tile| tile.visits > 0);
         let levels = 1 + self
             .tiles
@@ -390,7 +410,9 @@ impl SphereCache {
             let side = TileKey::tiles_per_side(level) as usize;
             for key in TileKey::all_of(level) {
                 let entry = match (shown(&key), before) {
-                    (Some(tile), _) => tile.slot.0 | u32::from(level) << 16,
+                    (Some(tile), _) => {
+                        tile.slot.0 | u32::from(level) << 16 | tile.age_code(now) << 24
+                    }
                     (None, Some(parents)) => {
                         let at = usize::from(key.y / 2) * (side / 2) + usize::from(key.x / 2);
                         tables.entries[parents + at]

@@ -57,7 +57,7 @@ fn a_converged_sky_needs_no_update_until_the_scene_changes() {
     caches.age_all();
     assert!(caches.has_work(at_origin));
     // What is shown stays shown while it is marched anew.
-    let tables = caches.sphere_mut(SPHERE).page_tables();
+    let tables = caches.sphere_mut(SPHERE).page_tables(None);
     assert_ne!(tables.entries[tables.level_offsets[1] as usize], NO_TILE);
     assert_eq!(updates_until_converged(&mut caches), 16);
 }
@@ -136,7 +136,7 @@ fn a_missing_tile_is_shown_by_the_nearest_coarser_one() {
     let fine = [request(tile(2, 8, 8))];
     caches.sphere_mut(SPHERE).set_wanted(&coarse, &fine);
     caches.plan(50, at_origin);
-    let tables = caches.sphere_mut(SPHERE).page_tables();
+    let tables = caches.sphere_mut(SPHERE).page_tables(None);
     let side = TileKey::tiles_per_side(2) as usize;
     let entry =
         |x: usize, y: usize| tables.entries[tables.level_offsets[2] as usize + y * side + x];

@@ -1,12 +1,17 @@
 //! The pass that makes one viewer's picture: intersect, read, colour, blend back to front, tone map, dither.
 
+mod inspect;
+
+pub use inspect::{InspectionInputs, Inspections, inspect_key, shown_key, shown_of};
+
 use crate::cache::ViewFrustum;
 use crate::config::FrameFilter;
 use crate::gpu::{Gpu, PipelineKey, Pipelines, TimedPass, TimingRing};
 use crate::march::CellFrame;
 use glam::DVec3;
-use skycell_protocol::{Camera, FrameSize};
-use skycell_shaders::{Density, Features, Kernel, layout};
+use skycell_protocol::scene::ToneCurve;
+use skycell_protocol::{Camera, FrameSize, Scene};
+use skycell_shaders::{Density, Features, Kernel, Tone, layout};
 
 /// A composite in which two by two pixels share what is behind the clouds: an error of half a pixel's worth of clear sky,
 /// for a third of the time on a software driver.
@@ -24,6 +29,7 @@ pub fn with_shared_background(key: PipelineKey) -> PipelineKey {
 /// What a composite is specialised to.
 #[must_use]
 pub fn composite_key(
+    scene: &Scene,
     filter: FrameFilter,
     layers: usize,
     screen_space: bool,
@@ -38,8 +44,18 @@ pub fn composite_key(
             catmull_rom: !screen_space && filter == FrameFilter::CatmullRom,
             linear_output,
             screen_space,
+            tone: tone_of(scene.tone().curve()),
             ..Features::default()
         },
+    }
+}
+
+/// What the shaders call a curve.
+fn tone_of(curve: ToneCurve) -> Tone {
+    match curve {
+        ToneCurve::Agx => Tone::Agx,
+        ToneCurve::Aces => Tone::Aces,
+        ToneCurve::Neutral => Tone::Neutral,
     }
 }
 

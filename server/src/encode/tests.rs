@@ -63,6 +63,7 @@ impl Bench {
             camera: Camera::default(),
             renderer: RendererKind::Cached,
             quality: None,
+            show: skycell_protocol::Show::Picture,
         };
         self.registry.join(view).expect("room")
     }

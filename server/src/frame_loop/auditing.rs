@@ -240,6 +240,7 @@ mod tests {
                 camera: Camera::new([0.0, 2.0, 0.0], 0.0, 25.0, 60.0).expect("a camera"),
                 renderer: RendererKind::Cached,
                 quality: None,
+                show: skycell_protocol::Show::Picture,
             },
         );
         loop {

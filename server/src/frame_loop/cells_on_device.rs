@@ -1,12 +1,13 @@
 //! View cells on the device: their frames, anchors and buffers, and what their caches are told.
 
+use super::metering::Meter;
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
 use crate::composite::view_frustum;
 use crate::march::{CellBuffers, CellFrame, MarchSettings, scene_uniform};
 use glam::DVec3;
-use skycell_protocol::{Camera, CellId, RendererKind, ViewerId};
+use skycell_protocol::{Camera, CellId, ViewerId};
 use std::time::{Duration, Instant};
 
 /// Beyond this distance between anchor and reference the cache's texels no longer have even sizes for the viewers.
@@ -14,6 +15,8 @@ const ANCHOR_DRIFT_MAX_M: f64 = 4_000.0;
 
 /// Under wind tiles move past the viewers; what they need is looked up this often. At 50 m/s that is 2.5 m.
 const REQUESTS_INTERVAL: Duration = Duration::from_millis(50);
+/// Where ages of tiles are looked at, tables tell them this often.
+const AGES_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Where a layer's addresses are centred: follows the layer's wind.
 #[derive(Clone, Copy, Debug)]
@@ -39,6 +42,10 @@ pub(super) struct ActiveCell {
     requests_changed: bool,
     /// When the tiles were last looked up for where the wind has carried them.
     looked_up: Instant,
+    /// When page tables last told how old tiles are.
+    ages_written: Instant,
+    /// Measures the light of the sky, where exposure follows it.
+    pub(super) meter: Option<Meter>,
 }
 
 impl SkyRenderer {
@@ -62,6 +69,8 @@ impl SkyRenderer {
             begun: Instant::now(),
             requests_changed: true,
             looked_up: Instant::now(),
+            ages_written: Instant::now(),
+            meter: None,
         }
     }
 
@@ -69,7 +78,11 @@ impl SkyRenderer {
         self.caches.remove_cell(id);
         if let Some(cell) = self.active_cells.get(&id) {
             let reference_m = cell.reference_m;
-            let fresh = self.new_active_cell(reference_m);
+            let mut fresh = self.new_active_cell(reference_m);
+            // Eyes stay used to the light.
+            if let Some(cell) = self.active_cells.get_mut(&id) {
+                fresh.meter = cell.meter.take();
+            }
             self.active_cells.insert(id, fresh);
         }
     }
@@ -173,7 +186,7 @@ impl SkyRenderer {
         if cell.requests_changed {
             self.refresh_cell_settings(id, cell);
         }
-        let uniform = scene_uniform(
+        let mut uniform = scene_uniform(
             &self.scene,
             &self.active,
             &self.light,
@@ -182,6 +195,7 @@ impl SkyRenderer {
             &self.drifts,
             &anchors,
         );
+        uniform.exposure *= cell.auto_exposure_ev().exp2() as f32;
         cell.buffers.set_scene(&self.gpu, &uniform);
         let drifted = windy && cell.looked_up.elapsed() >= REQUESTS_INTERVAL;
         if cell.requests_changed || drifted {
@@ -202,7 +216,7 @@ impl SkyRenderer {
                 cell.coarse = spheres.iter().map(|s| coarse_tiles(s, eye)).collect();
             }
             for viewer in self.viewers.values_mut().filter(|v| v.cell == id) {
-                if viewer.kind == RendererKind::ScreenSpace {
+                if !viewer.reads_cache() {
                     continue;
                 }
                 if drifted || viewer.requests.len() != spheres.len() {
@@ -217,7 +231,7 @@ impl SkyRenderer {
             let cached_viewers = || {
                 self.viewers
                     .values()
-                    .filter(move |v| v.cell == id && v.kind == RendererKind::Cached)
+                    .filter(move |v| v.cell == id && v.reads_cache())
             };
             // Nobody who reads the cache: nobody who needs its coarse level.
             let used = cached_viewers().next().is_some();
@@ -239,17 +253,25 @@ impl SkyRenderer {
                 .sphere_mut(SphereId { cell: id, layer })
                 .set_evolved(self.drifts[active.scene_index].y);
         }
+        let now = Instant::now();
+        let ages = (self.ages_are_shown(id)
+            && now.duration_since(cell.ages_written) >= AGES_INTERVAL)
+            .then_some(now);
+        if ages.is_some() {
+            cell.ages_written = now;
+        }
+        let shows_ages = self.ages_are_shown(id).then_some(now);
         let changed = (0..self.active.len() as u32).any(|layer| {
             self.caches
                 .sphere_mut(SphereId { cell: id, layer })
                 .take_tables_changed()
         });
-        if changed {
+        if changed || ages.is_some() {
             let tables: Vec<_> = (0..self.active.len() as u32)
                 .map(|layer| {
                     self.caches
                         .sphere_mut(SphereId { cell: id, layer })
-                        .page_tables()
+                        .page_tables(shows_ages)
                 })
                 .collect();
             cell.buffers.set_tables(&self.gpu, &tables);

@@ -17,7 +17,7 @@ use crate::quality::QualitySettings;
 use serde::Serialize;
 use skycell_protocol::{
     Camera, CellId, Codec, FrameSequence, FrameSize, InputSequence, QualityChoice, RendererKind,
-    Scene, ViewerId,
+    Scene, Show, ViewerId,
 };
 use thiserror::Error;
 
@@ -47,6 +47,8 @@ pub struct ViewRequest {
     pub renderer: RendererKind,
     /// How good pictures are to be; none for what the scene or the server says.
     pub quality: Option<QualityChoice>,
+    /// What frames show.
+    pub show: Show,
 }
 
 /// A message to the frame loop.
@@ -346,6 +348,8 @@ pub struct CellStats {
     pub march_steps: u32,
     /// Jittered samples that its texels average.
     pub samples: u32,
+    /// Exposure by the light of the sky, stops; 0 where the scene has none.
+    pub auto_exposure_ev: f64,
 }
 
 /// A viewer as the frame loop sees it.
@@ -363,6 +367,12 @@ pub struct ViewerRenderStats {
     pub frames_in_flight: u32,
     /// Which renderer makes its frames.
     pub renderer: RendererKind,
+    /// Why it is not the one that was asked for.
+    pub renderer_note: Option<&'static str>,
+    /// What its frames are to show.
+    pub show: Show,
+    /// Why they do not show it.
+    pub show_note: Option<&'static str>,
     /// What is asked for, picked and achieved.
     pub quality: QualityStats,
 }

@@ -4,6 +4,7 @@
 mod auditing;
 mod cells_on_device;
 pub mod interface;
+mod metering;
 mod pacing;
 mod passes;
 mod qualities;
@@ -13,6 +14,7 @@ mod stats;
 mod still;
 mod still_settings;
 mod viewers_on_device;
+mod views;
 
 pub use pacing::FrameLoop;
 pub use still::StillRenderer;

@@ -8,6 +8,8 @@ use super::renderer::SkyRenderer;
 use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{BlendStep, Gpu, GpuError, TimedPass};
 use skycell_protocol::{RendererKind, Scene, ViewerId};
+use crate::gpu::{Gpu, GpuError, TimedPass};
+use skycell_protocol::{RendererKind, Scene, Show, ViewerId};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -42,6 +44,8 @@ const BLEND_INTERVAL: Duration = Duration::from_millis(250);
 const BLEND_WAIT_MAX: Duration = Duration::from_secs(2);
 /// Figures are published this often.
 const STATS_INTERVAL: Duration = Duration::from_millis(100);
+/// A resting view of the age of texels is made anew this often.
+const AGES_INTERVAL: Duration = Duration::from_secs(1);
 /// Time of a tile's march before any was measured.
 const FIRST_TILE_NS: f64 = 10.0e6;
 /// Device submissions that may be under way before more is marched.
@@ -249,9 +253,23 @@ impl FrameLoop {
                 IDLE_INTERVAL
             };
         }
+        for viewer in self.renderer.take_views() {
+            if let Some(pace) = self.paces.get_mut(&viewer) {
+                pace.change = Change::Seen;
+            }
+        }
+        self.note_ages(now);
         self.renderer.consider_budgets(now);
         self.note_wind(now);
         self.step_maps(now);
+        let cells = self.renderer.adapt_exposures(now, passed.as_secs_f64());
+        let arrived = self.renderer.finish_approaches(now);
+        for (id, pace) in &mut self.paces {
+            let viewer = self.renderer.viewers.get(id);
+            if arrived.contains(id) || viewer.is_some_and(|v| cells.contains(&v.cell)) {
+                pace.change = Change::Seen;
+            }
+        }
         self.renderer.refresh_cells();
         let due = self.due_viewers(now);
         if !due.is_empty() {
@@ -279,6 +297,16 @@ impl FrameLoop {
         self.blended = now;
         if self.renderer.step_maps() != BlendStep::None {
             for pace in self.paces.values_mut() {
+    /// Who looks at the age of texels sees them age.
+    fn note_ages(&mut self, now: Instant) {
+        for (id, pace) in &mut self.paces {
+            let shows_ages = self.renderer.viewers.get(id).is_some_and(|viewer| {
+                viewer.view.show == Show::CacheAge && viewer.kind == RendererKind::Cached
+            });
+            let is_old = pace
+                .composited
+                .is_some_and(|last| now.duration_since(last) >= AGES_INTERVAL);
+            if shows_ages && is_old {
                 pace.change = Change::Seen;
             }
         }

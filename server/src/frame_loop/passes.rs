@@ -5,14 +5,14 @@ use super::renderer::{SkyRenderer, frame_key};
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{SphereId, TileUpdate};
 use crate::clock::unix_now_us;
-use crate::composite::{CompositeInputs, Picture};
+use crate::composite::{CompositeInputs, Picture, shown_key};
 use crate::gpu::{GpuError, PipelineKey, TimedPass};
 use crate::march::{
     ActiveLayer, BATCH_TILES_MAX, MarchedPixels, PixelStrip, TexelGroup, layer_features,
 };
 use glam::DVec3;
 use skycell_protocol::{CellId, FrameSequence, RendererKind, Scene, ViewerId};
-use skycell_shaders::{Features, layout};
+use skycell_shaders::{Features, Shown, layout};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -80,6 +80,12 @@ impl SkyRenderer {
         self.submit(encoder);
         self.timing.submitted();
         self.counters.tiles_updated += updates.len() as u64;
+        for update in &updates {
+            let cell = self.active_cells.get_mut(&update.sphere.cell);
+            if let Some(meter) = cell.and_then(|cell| cell.meter.as_mut()) {
+                meter.due = true;
+            }
+        }
         self.audit.tiles_changed();
         updates
     }
@@ -213,6 +219,7 @@ impl SkyRenderer {
         target: &wgpu::Buffer,
     ) -> Option<()> {
         let view = self.view_of(viewer)?;
+        let (shown, _) = self.shown_to(viewer);
         let cell = self.active_cells.get_mut(&viewer.cell)?;
         let screen_space = viewer.kind == RendererKind::ScreenSpace;
         let (layers, view) = match (screen_space, &viewer.screen_space) {
@@ -225,24 +232,31 @@ impl SkyRenderer {
                 view,
             ),
         };
-        viewer.picture.record(
-            &self.gpu,
-            encoder,
-            &mut self.timing,
-            &self.pipelines,
-            &CompositeInputs {
-                key: frame_key(
-                    &self.gpu,
-                    viewer.quality.settings.frame_filter,
-                    self.active.len(),
-                    screen_space,
-                ),
-                scene: &cell.buffers.scene_group,
-                layers: &layers,
-                view: &view,
-                ground_radius_m: ground_radius_m(&self.scene, &self.active, &view),
-            },
+        let (scene, field) = (
+            cell.buffers.scene_group.clone(),
+            cell.buffers.field_group().clone(),
         );
+        let filter = viewer.quality.settings.frame_filter;
+        let layer_count = self.active.len();
+        let plain = frame_key(&self.gpu, &self.scene, filter, layer_count, screen_space);
+        let inputs = CompositeInputs {
+            key: shown_key(plain, shown),
+            scene: &scene,
+            layers: &layers,
+            view: &view,
+            ground_radius_m: ground_radius_m(&self.scene, &self.active, &view),
+        };
+        if shown.is_inspection() {
+            self.record_inspection(encoder, &viewer.picture, &inputs, &field, shown);
+        } else {
+            viewer.picture.record(
+                &self.gpu,
+                encoder,
+                &mut self.timing,
+                &self.pipelines,
+                &inputs,
+            );
+        }
         self.counters.dispatches += 1;
         encoder.copy_buffer_to_buffer(viewer.picture.pixels(), 0, target, 0, target.size());
         Some(())
@@ -254,6 +268,7 @@ impl SkyRenderer {
         id: ViewerId,
         picture: &Picture,
         key: PipelineKey,
+        inspected: Option<Shown>,
     ) -> Result<(), GpuError> {
         let gone = || GpuError::Device("the viewer of the picture is gone".into());
         let viewer = self.viewers.get(&id).ok_or_else(gone)?;
@@ -275,19 +290,27 @@ impl SkyRenderer {
             .create_command_encoder(&wgpu::CommandEncoderDescriptor {
                 label: Some("still"),
             });
-        picture.record(
-            &self.gpu,
-            &mut encoder,
-            &mut self.timing,
-            &self.pipelines,
-            &CompositeInputs {
-                key,
-                scene: &cell.buffers.scene_group,
-                layers: &layers,
-                view: &view,
-                ground_radius_m: ground_radius_m(&self.scene, &self.active, &view),
-            },
+        let (scene, field) = (
+            cell.buffers.scene_group.clone(),
+            cell.buffers.field_group().clone(),
         );
+        let inputs = CompositeInputs {
+            key,
+            scene: &scene,
+            layers: &layers,
+            view: &view,
+            ground_radius_m: ground_radius_m(&self.scene, &self.active, &view),
+        };
+        match inspected {
+            Some(shown) => self.record_inspection(&mut encoder, picture, &inputs, &field, shown),
+            None => picture.record(
+                &self.gpu,
+                &mut encoder,
+                &mut self.timing,
+                &self.pipelines,
+                &inputs,
+            ),
+        }
         self.timing.resolve(&mut encoder);
         self.submit(encoder);
         self.timing.submitted();

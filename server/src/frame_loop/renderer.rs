@@ -8,7 +8,7 @@ use super::qualities::Qualities;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
 use crate::cells::Cells;
-use crate::composite::{Picture, composite_key, ground_key, with_shared_background};
+use crate::composite::{Inspections, Picture, composite_key, ground_key, with_shared_background};
 use crate::config::{FrameFilter, PlacedCell, RenderConfig};
 use crate::field::FieldStore;
 use crate::gpu::{
@@ -69,6 +69,8 @@ pub(super) struct SkyRenderer {
     pub(super) active_cells: BTreeMap<CellId, ActiveCell>,
     pub(super) viewers: BTreeMap<ViewerId, ActiveViewer>,
     pub(super) counters: Counters,
+    /// What passes of inspections are told; made when somebody first looks at one.
+    pub(super) inspections: Option<Inspections>,
     /// Submissions that the device has not finished.
     pub(super) in_flight: Arc<AtomicU32>,
 }
@@ -104,6 +106,7 @@ impl SkyRenderer {
             active_cells: BTreeMap::new(),
             viewers: BTreeMap::new(),
             counters: Counters::default(),
+            inspections: None,
             in_flight: Arc::default(),
             frame_filter: base.frame_filter,
             mip_bias: base.mip_bias,
@@ -131,7 +134,7 @@ impl SkyRenderer {
         let mut keys = Vec::new();
         for filter in FrameFilter::ALL {
             for screen_space in [false, true] {
-                let key = frame_key(&self.gpu, filter, active.len(), screen_space);
+                let key = frame_key(&self.gpu, &scene, filter, active.len(), screen_space);
                 keys.extend([key, ground_key(key)]);
             }
         }
@@ -178,6 +181,7 @@ impl SkyRenderer {
         let moved =
             old.planet().radius_m() != self.scene.planet().radius_m() || active != self.active;
         self.active = active;
+        self.inspections = None;
         if moved {
             let ids: Vec<CellId> = self.active_cells.keys().copied().collect();
             for id in ids {
@@ -196,6 +200,8 @@ impl SkyRenderer {
             }
         }
         self.touch_all_requests();
+        self.prepare_views();
+        self.prepare_meters()?;
         self.audit.restart();
         Ok(())
     }
@@ -218,6 +224,7 @@ impl SkyRenderer {
                     camera,
                     renderer,
                     quality: None,
+                    show: skycell_protocol::Show::Picture,
                 },
             );
             self.refresh_cells();
@@ -230,9 +237,15 @@ impl SkyRenderer {
             self.refresh_cells();
             let screen_space = renderer == RendererKind::ScreenSpace;
             for filter in FrameFilter::ALL {
-                let key = frame_key(&self.gpu, filter, self.active.len(), screen_space);
+                let key = frame_key(
+                    &self.gpu,
+                    &self.scene,
+                    filter,
+                    self.active.len(),
+                    screen_space,
+                );
                 let picture = Picture::new(&self.gpu, &self.pipelines, size, false);
-                self.composite_still(viewer, &picture, key)?;
+                self.composite_still(viewer, &picture, key, None)?;
             }
             self.leave(viewer);
         }
@@ -308,11 +321,12 @@ impl SkyRenderer {
 /// The composite of viewers' frames.
 pub(super) fn frame_key(
     gpu: &Gpu,
+    scene: &Scene,
     filter: FrameFilter,
     layers: usize,
     screen_space: bool,
 ) -> PipelineKey {
-    let key = composite_key(filter, layers, screen_space, false);
+    let key = composite_key(scene, filter, layers, screen_space, false);
     if gpu.is_software() {
         with_shared_background(key)
     } else {

@@ -66,6 +66,9 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
                 frames_composited: viewer.frames_composited,
                 frames_in_flight: viewer.frames_in_flight(),
                 renderer: viewer.kind,
+                renderer_note: viewer.renderer_note(),
+                show: viewer.view.show,
+                show_note: renderer.shown_to(viewer).1,
                 quality: renderer.viewer_quality_stats(viewer),
             })
             .collect(),
@@ -85,6 +88,7 @@ fn cell_stats(renderer: &SkyRenderer, id: CellId) -> CellStats {
     };
     if let Some(active) = renderer.active_cells.get(&id) {
         (stats.march_steps, stats.samples) = (active.settings.steps, active.samples);
+        stats.auto_exposure_ev = active.auto_exposure_ev();
     }
     if let Some((drift, _)) = renderer.cell_drift(id) {
         stats.anchor_drift_m = drift.to_array();

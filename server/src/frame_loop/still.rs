@@ -6,14 +6,14 @@ use super::screen_space::ScreenSpaceJob;
 use super::still_settings::{LayerFigures, RayFigures, RayPicture};
 use super::still_settings::{StillFigures, StillPicture, StillSettings};
 use crate::cells::Cells;
-use crate::composite::{Picture, composite_key, ground_key};
+use crate::composite::{Picture, composite_key, ground_key, shown_of};
 use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{DeviceInventory, Gpu, GpuError, PipelineKey, TimedPass};
 use crate::gpu::{read_buffer_blocking, reads_of};
 use crate::march::{LISTED_VALUES, MarchedPixels, layer_features, pixels_key};
 use glam::DVec3;
 use skycell_protocol::{Camera, Codec, FrameSize, RendererKind, Scene, ViewerId};
-use skycell_shaders::{Features, layout};
+use skycell_shaders::{Features, Shown, layout};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Instant;
@@ -124,9 +124,13 @@ impl StillRenderer {
     ) -> Result<StillPicture, GpuError> {
         let start = Start::of(self, settings)?;
         let screen_space = self.join(camera, size, settings);
+        if screen_space && shown_of(settings.show).is_of_cache() {
+            return Err(GpuError::NotShown(settings.show.name()));
+        }
         self.prepare_composites(screen_space, settings, false)?;
         self.renderer.refresh_cells();
         self.march_all(screen_space, progress)?;
+        self.renderer.meter_now()?;
         let (display, linear) = self.composites(size, screen_space, settings)?;
         Ok(StillPicture {
             size,
@@ -258,6 +262,7 @@ impl StillRenderer {
                 camera,
                 renderer: settings.renderer,
                 quality: None,
+                show: settings.show,
             },
         );
         renderer
@@ -282,13 +287,25 @@ impl StillRenderer {
         settings: &StillSettings,
         ray_list: bool,
     ) -> [PipelineKey; 2] {
+        let shown = shown_of(settings.show);
         [false, true].map(|linear| {
             let layers = self.renderer.active.len();
-            let key = composite_key(settings.filter, layers, screen_space, linear);
+            let key = composite_key(
+                &self.renderer.scene,
+                settings.filter,
+                layers,
+                screen_space,
+                linear,
+            );
             PipelineKey {
                 features: Features {
                     ray_list,
                     upsample: screen_space && settings.resolution_divisor > 1,
+                    shown: if shown.is_inspection() {
+                        Shown::Picture
+                    } else {
+                        shown
+                    },
                     ..key.features
                 },
                 ..key
@@ -306,6 +323,14 @@ impl StillRenderer {
             let renderer = &mut self.renderer;
             renderer.pipelines.prepare(&renderer.gpu, key)?;
             renderer.pipelines.prepare(&renderer.gpu, ground_key(key))?;
+        }
+        let shown = shown_of(settings.show);
+        if shown.is_inspection() {
+            let [key, _] = self.composite_keys_for(screen_space, settings, ray_list);
+            let renderer = &mut self.renderer;
+            for key in renderer.shown_keys(shown, key) {
+                renderer.pipelines.prepare(&renderer.gpu, key)?;
+            }
         }
         Ok(())
     }
@@ -357,7 +382,9 @@ impl StillRenderer {
                 .and_then(|job| job.marched().rays());
             let picture =
                 Picture::with_rays(&renderer.gpu, &renderer.pipelines, size, linear, rays);
-            renderer.composite_still(VIEWER, &picture, key)?;
+            let shown = shown_of(settings.show);
+            let inspected = (!linear && shown.is_inspection()).then_some(shown);
+            renderer.composite_still(VIEWER, &picture, key, inspected)?;
             read_buffer_blocking(&renderer.gpu, picture.pixels())
         };
         let display = read(display_key, false)?;

@@ -4,7 +4,7 @@ use crate::config::FrameFilter;
 use crate::march::MarchSettings;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use skycell_protocol::{FrameSize, RendererKind};
+use skycell_protocol::{FrameSize, RendererKind, Show};
 
 /// How a single picture is made.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -24,6 +24,8 @@ pub struct StillSettings {
     pub filter: FrameFilter,
     /// Reference point of the cache, seen from the eye: x, altitude, z.
     pub reference_offset_m: [f64; 3],
+    /// What the picture shows.
+    pub show: Show,
 }
 
 impl Default for StillSettings {
@@ -36,6 +38,7 @@ impl Default for StillSettings {
             mip_bias: 0.0,
             filter: FrameFilter::CatmullRom,
             reference_offset_m: [0.0; 3],
+            show: Show::Picture,
         }
     }
 }

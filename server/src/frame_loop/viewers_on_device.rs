@@ -9,9 +9,17 @@ use crate::composite::{Picture, view_frustum, view_uniform};
 use crate::gpu::ReadbackRing;
 use skycell_protocol::{Camera, CellId, InputSequence, RendererKind, ViewerId};
 use skycell_shaders::layout;
+use std::time::{Duration, Instant};
 
 /// Pictures of a viewer that may be on their way back from the device or wait to be encoded.
 const READBACKS_PER_VIEWER: usize = 3;
+
+/// From rays back to the cache, a camera goes this far below the lowest cloud, m.
+const RETURN_MARGIN_M: f64 = 50.0;
+/// And no further than this share of the base's altitude: fog lies low.
+const RETURN_SHARE: f64 = 0.1;
+/// A viewer reads a cache that is still coarse after this time.
+const APPROACH_MAX: Duration = Duration::from_secs(3);
 
 /// A viewer on the device.
 pub(super) struct ActiveViewer {
@@ -20,6 +28,8 @@ pub(super) struct ActiveViewer {
     pub(super) cell: CellId,
     /// Which renderer makes its frames: the one that it asks for, or rays of its own where the cache does not reach.
     pub(super) kind: RendererKind,
+    /// Since when the cache is being made for it, while rays of its own still make its frames.
+    pub(super) approaches: Option<Instant>,
     pub(super) quality: ViewerQuality,
     pub(super) requests: Vec<Vec<TileRequest>>,
     pub(super) picture: Picture,
@@ -36,6 +46,26 @@ impl ActiveViewer {
         self.requests.iter().map(|r| r.len() as u64).sum::<u64>() * TEXELS_PER_TILE
     }
 
+    /// Whether the cache is to hold what it sees.
+    pub(super) fn reads_cache(&self) -> bool {
+        self.kind == RendererKind::Cached || self.approaches.is_some()
+    }
+
+    /// Why its frames are not made by the renderer that it asked for.
+    pub(super) fn renderer_note(&self) -> Option<&'static str> {
+        if self.kind == self.view.renderer {
+            None
+        } else if self.approaches.is_some() {
+            Some(
+                "the cache is being made for this viewer; rays of its own make its frames until then",
+            )
+        } else {
+            Some(
+                "the camera is not below all clouds, where the cache holds; rays of its own make its frames",
+            )
+        }
+    }
+
     /// Frames composited and not acknowledged.
     pub(super) fn frames_in_flight(&self) -> u32 {
         self.sequence.wrapping_sub(self.acknowledged)
@@ -47,7 +77,8 @@ impl SkyRenderer {
         let cell = self.place(id, &view.camera);
         let bytes = u64::from(view.size.pixels()) * 4;
         let viewer = ActiveViewer {
-            kind: self.kind_of(&view),
+            kind: self.kind_of(&view, None),
+            approaches: None,
             quality: self.quality_of(&view, None),
             view,
             input: InputSequence(0),
@@ -61,18 +92,26 @@ impl SkyRenderer {
             frames_composited: 0,
         };
         self.viewers.insert(id, viewer);
+        self.prepare_views();
         self.change_requests(cell);
     }
 
-    /// The renderer for a view. Proxy spheres are marched and blended from below: a viewer in or above a layer gets rays
-    /// of its own.
-    pub(super) fn kind_of(&self, view: &ViewRequest) -> RendererKind {
+    /// The renderer for a view. Proxy spheres are marched and blended from below: a viewer in, between or above layers gets
+    /// rays of its own. `before`: the one that made its frames so far; from rays back to the cache it goes a little lower
+    /// than the other way, so that a camera on the boundary does not change between them all the time.
+    pub(super) fn kind_of(&self, view: &ViewRequest, before: Option<RendererKind>) -> RendererKind {
         let altitude_m = view.camera.position_m()[1];
-        let below_all = self
+        let lowest_base_m = self
             .active
             .iter()
-            .all(|layer| altitude_m < self.scene.layers()[layer.scene_index].base_altitude_m());
-        if below_all {
+            .map(|layer| self.scene.layers()[layer.scene_index].base_altitude_m())
+            .fold(f64::INFINITY, f64::min);
+        let margin_m = if before == Some(RendererKind::ScreenSpace) {
+            (RETURN_SHARE * lowest_base_m).min(RETURN_MARGIN_M)
+        } else {
+            0.0
+        };
+        if altitude_m < lowest_base_m - margin_m {
             view.renderer
         } else {
             RendererKind::ScreenSpace
@@ -80,14 +119,50 @@ impl SkyRenderer {
     }
 
     pub(super) fn choose_renderer(&mut self, id: ViewerId, view: &ViewRequest) {
-        let kind = self.kind_of(view);
-        if let Some(viewer) = self.viewers.get_mut(&id)
-            && viewer.kind != kind
-        {
-            viewer.kind = kind;
-            viewer.screen_space = None;
-            viewer.requests.clear();
+        let before = self.viewers.get(&id).map(|viewer| viewer.kind);
+        let kind = self.kind_of(view, before);
+        let Some(viewer) = self.viewers.get_mut(&id) else {
+            return;
+        };
+        match (viewer.kind, kind) {
+            (RendererKind::ScreenSpace, RendererKind::Cached) => {
+                // Rays go on until the cache has something to show: no cloudless sky in between.
+                viewer.approaches.get_or_insert_with(Instant::now);
+            }
+            (RendererKind::Cached, RendererKind::ScreenSpace) => {
+                viewer.kind = kind;
+                viewer.screen_space = None;
+                viewer.requests.clear();
+                viewer.approaches = None;
+            }
+            _ => viewer.approaches = None,
         }
+    }
+
+    /// Lets those viewers read the cache who come from where it does not reach and for whom it is made by now; returns them.
+    pub(super) fn finish_approaches(&mut self, now: Instant) -> Vec<ViewerId> {
+        let arrived: Vec<ViewerId> = self
+            .viewers
+            .iter()
+            .filter(|(_, viewer)| {
+                viewer.approaches.is_some_and(|since| {
+                    let has_requests = viewer.requests.len() == self.active.len();
+                    let is_late = now.duration_since(since) > APPROACH_MAX;
+                    has_requests
+                        && self.coarse_is_ready(viewer)
+                        && (is_late || !self.is_coarse(viewer))
+                })
+            })
+            .map(|(id, _)| *id)
+            .collect();
+        for id in &arrived {
+            if let Some(viewer) = self.viewers.get_mut(id) {
+                viewer.kind = RendererKind::Cached;
+                viewer.approaches = None;
+                viewer.screen_space = None;
+            }
+        }
+        arrived
     }
 
     pub(super) fn set_camera(&mut self, id: ViewerId, input: InputSequence, camera: Camera) {
@@ -125,6 +200,7 @@ impl SkyRenderer {
         viewer.view = view;
         self.refresh_quality(id);
         self.set_camera(id, input, view.camera);
+        self.prepare_views();
     }
 
     pub(super) fn leave(&mut self, id: ViewerId) {

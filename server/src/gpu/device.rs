@@ -31,6 +31,12 @@ pub enum GpuError {
     /// A shader does not compose.
     #[error(transparent)]
     Shader(#[from] skycell_shaders::ShaderError),
+    /// A view of the cache was asked for where there is none.
+    #[error(
+        "{0} shows the cache, and this picture is not made from it: its renderer is screen-space, or the camera is not below \
+         the clouds"
+    )]
+    NotShown(&'static str),
     /// The device stopped working.
     #[error("the device was lost or ran into an error: {0}")]
     Device(String),

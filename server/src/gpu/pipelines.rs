@@ -3,7 +3,8 @@
 use super::{Gpu, GpuError};
 use skycell_shaders::{Features, Kernel, SourceEdit, compose, compose_edited};
 use std::borrow::Cow;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
+use std::sync::mpsc::{self, Receiver, Sender};
 
 /// Which pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -49,7 +50,45 @@ pub struct Pipelines {
     /// Stands where a picture has no list of rays.
     pub no_rays: wgpu::Buffer,
     made: HashMap<PipelineKey, wgpu::ComputePipeline>,
+    /// What other threads make.
+    coming: HashSet<PipelineKey>,
+    finished: (Sender<Finished>, Receiver<Finished>),
     edit: Option<SourceEdit>,
+}
+
+/// What another thread has made of a key.
+type Finished = (PipelineKey, Result<wgpu::ComputePipeline, GpuError>);
+
+/// Composes a kernel and compiles it.
+fn make(
+    gpu: &Gpu,
+    key: PipelineKey,
+    groups: &[wgpu::BindGroupLayout; 4],
+    edit: Option<SourceEdit>,
+) -> Result<wgpu::ComputePipeline, GpuError> {
+    let module = match edit {
+        Some(edit) => compose_edited(key.kernel, key.features, edit)?,
+        None => compose(key.kernel, key.features)?,
+    };
+    let shader = own_shader_module(gpu, key.kernel, module);
+    let groups = groups.each_ref().map(Some);
+    let pipeline_layout = gpu
+        .device
+        .create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(key.kernel.entry_point()),
+            bind_group_layouts: &groups,
+            immediate_size: 0,
+        });
+    Ok(gpu
+        .device
+        .create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(key.kernel.entry_point()),
+            layout: Some(&pipeline_layout),
+            module: &shader,
+            entry_point: Some(key.kernel.entry_point()),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: None,
+        }))
 }
 
 fn uniform() -> wgpu::BindingType {
@@ -211,6 +250,8 @@ impl Pipelines {
             empty_layout,
             empty_group,
             made: HashMap::new(),
+            coming: HashSet::new(),
+            finished: mpsc::channel(),
             edit: None,
         }
     }
@@ -234,6 +275,12 @@ impl Pipelines {
                 &self.field_layout,
                 &self.pixels_layout,
                 &self.view_layout,
+            ],
+            Kernel::Inspect => [
+                &self.scene_layout,
+                &self.field_layout,
+                &self.question_layout,
+                &self.picture_layout,
             ],
             Kernel::ProbeField => [
                 &self.scene_layout,
@@ -268,37 +315,67 @@ impl Pipelines {
         if self.made.contains_key(&key) {
             return Ok(());
         }
-        let module = match self.edit {
-            Some(edit) => compose_edited(key.kernel, key.features, edit)?,
-            None => compose(key.kernel, key.features)?,
-        };
-        let shader = own_shader_module(gpu, key.kernel, module);
-        let groups = self.groups(key).map(Some);
-        let pipeline_layout = gpu
-            .device
-            .create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-                label: Some(key.kernel.entry_point()),
-                bind_group_layouts: &groups,
-                immediate_size: 0,
-            });
-        let pipeline = gpu
-            .device
-            .create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(key.kernel.entry_point()),
-                layout: Some(&pipeline_layout),
-                module: &shader,
-                entry_point: Some(key.kernel.entry_point()),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                cache: None,
-            });
+        let groups = self.groups(key).map(Clone::clone);
+        let pipeline = make(gpu, key, &groups, self.edit)?;
         self.made.insert(key, pipeline);
         Ok(())
+    }
+
+    /// Has pipelines made on another thread, those that are neither there nor under way: for what may come a moment late.
+    /// [`Self::take_finished`] brings them.
+    pub fn prepare_later(&mut self, gpu: &Gpu, keys: Vec<PipelineKey>) {
+        let edit = self.edit;
+        let missing: Vec<PipelineKey> = keys
+            .into_iter()
+            .filter(|key| !self.made.contains_key(key) && self.coming.insert(*key))
+            .collect();
+        let work: Vec<_> = missing
+            .into_iter()
+            .map(|key| (key, self.groups(key).map(Clone::clone)))
+            .collect();
+        if work.is_empty() {
+            return;
+        }
+        let (gpu, finished) = (gpu.clone(), self.finished.0.clone());
+        let thread = std::thread::Builder::new().name("pipelines".into());
+        let spawned = thread.spawn(move || {
+            for (key, groups) in work {
+                // Nobody waits any more once the renderer is gone.
+                if finished
+                    .send((key, make(&gpu, key, &groups, edit)))
+                    .is_err()
+                {
+                    return;
+                }
+            }
+        });
+        if let Err(error) = spawned {
+            tracing::error!(%error, "pipelines cannot be made beside frames");
+        }
+    }
+
+    /// Takes over what other threads have made; true when there was something.
+    pub fn take_finished(&mut self) -> bool {
+        let mut some = false;
+        for (key, made) in self.finished.1.try_iter() {
+            self.coming.remove(&key);
+            match made {
+                Ok(pipeline) => {
+                    self.made.insert(key, pipeline);
+                    some = true;
+                }
+                Err(error) => tracing::error!(%error, "a pipeline could not be made"),
+            }
+        }
+        some
     }
 
     /// For tests: pipelines are made anew, of edited sources; `None` brings the true ones back.
     pub fn plant(&mut self, edit: Option<SourceEdit>) {
         self.edit = edit;
         self.made.clear();
+        self.coming.clear();
+        self.finished = mpsc::channel();
     }
 
     /// What has been made.

@@ -13,13 +13,21 @@ pub enum TimedPass {
     Audit,
     /// Composited a picture.
     Composite,
+    /// Made a picture of a quantity of the cloud field.
+    Inspection,
     /// Marched pixels of the screen-space renderer.
     ScreenSpace,
 }
 
 impl TimedPass {
     /// Every kind.
-    pub const ALL: [Self; 4] = [Self::Cache, Self::Audit, Self::Composite, Self::ScreenSpace];
+    pub const ALL: [Self; 5] = [
+        Self::Cache,
+        Self::Audit,
+        Self::Composite,
+        Self::Inspection,
+        Self::ScreenSpace,
+    ];
 
     /// As figures call it.
     #[must_use]
@@ -28,6 +36,7 @@ impl TimedPass {
             Self::Cache => "cache",
             Self::Audit => "audit",
             Self::Composite => "composite",
+            Self::Inspection => "inspection",
             Self::ScreenSpace => "screen-space",
         }
     }
@@ -53,6 +62,7 @@ struct Sums {
     cache: Sum,
     audit: Sum,
     composite: Sum,
+    inspection: Sum,
     screen_space: Sum,
 }
 
@@ -209,6 +219,7 @@ impl Sums {
             TimedPass::Cache => &self.cache,
             TimedPass::Audit => &self.audit,
             TimedPass::Composite => &self.composite,
+            TimedPass::Inspection => &self.inspection,
             TimedPass::ScreenSpace => &self.screen_space,
         }
     }

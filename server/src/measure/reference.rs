@@ -346,6 +346,7 @@ pub fn kept_reference(
 pub fn shown_picture(linear: &[f32], size: FrameSize, scene: &Scene) -> RgbImage {
     let display = Display {
         exposure: EXPOSURE_AT_ZERO_EV * scene.exposure_ev().exp2(),
+        curve: scene.tone().curve(),
         tone_map: true,
         dither: true,
     };

@@ -116,6 +116,7 @@ impl PointSettings {
                 ..MarchSettings::default()
             },
             samples: self.samples,
+            show: skycell_protocol::Show::Picture,
             resolution_divisor: self.resolution_divisor,
             mip_bias: self.mip_bias,
             filter: self.filter,

@@ -1,6 +1,7 @@
 //! What `skycell-server render` can be told.
 
 use crate::march::MarchSettings;
+use skycell_protocol::Show;
 use skycell_reference::Approximations;
 use std::path::PathBuf;
 
@@ -89,6 +90,11 @@ pub struct RenderArguments {
     /// The screen-space renderer marches this many times fewer columns and rows: 1, 2 or 4.
     #[arg(long, default_value_t = 1)]
     pub resolution_divisor: u32,
+    /// What the picture shows: picture, single, multiple, ambient, phase-off, transmittance, distance, cache-mip, steps,
+    /// coverage, type, profile, density, and of the last four coverage-above … density-above, profile-section and
+    /// density-section. For the device's renderers and .png.
+    #[arg(long, value_name = "NAME", default_value = "picture", value_parser = show_of)]
+    pub show: Show,
     /// Seconds for which the wind has blown.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     pub time_s: f64,
@@ -98,6 +104,11 @@ pub struct RenderArguments {
     /// Print figures as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+/// A view by its name.
+fn show_of(name: &str) -> Result<Show, String> {
+    Show::from_name(name).map_err(|error| error.to_string())
 }
 
 /// Renderers of single pictures.

@@ -11,7 +11,7 @@ use crate::march::{CellFrame, MarchSettings};
 use anyhow::{Context, bail, ensure};
 use glam::DVec3;
 use serde_json::json;
-use skycell_protocol::{Camera, FrameSize, RendererKind, Scene};
+use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, Show};
 use skycell_reference::phase::one_minus_mu;
 use skycell_reference::{RayResult, World};
 use std::sync::Arc;
@@ -50,6 +50,11 @@ fn settings(
         Output::Png => Interpolation::Sampler,
         Output::Exr | Output::Json => Interpolation::Exact,
     });
+    ensure!(
+        arguments.show == Show::Picture || output == Output::Png,
+        "--show {} makes colours; --out must end in .png",
+        arguments.show.name()
+    );
     let jitter = chosen.has(Approximation::Jitter);
     Ok(StillSettings {
         renderer: match arguments.renderer {
@@ -72,6 +77,7 @@ fn settings(
         },
         resolution_divisor: arguments.resolution_divisor,
         mip_bias: arguments.mip_bias,
+        show: arguments.show,
         ..StillSettings::default()
     })
 }
@@ -193,13 +199,14 @@ fn write_png(
         chosen.has(Approximation::ToneMap),
         chosen.has(Approximation::Dither),
     );
-    let rgb: Vec<u8> = if tone_map && dither {
+    let rgb: Vec<u8> = if (tone_map && dither) || arguments.show != Show::Picture {
         // As the device shows it.
         let pixels = picture.display.chunks_exact(4);
         pixels.flat_map(|p| [p[0], p[1], p[2]]).collect()
     } else {
         let display = super::Display {
             exposure: super::EXPOSURE_AT_ZERO_EV * scene.exposure_ev().exp2(),
+            curve: scene.tone().curve(),
             tone_map,
             dither,
         };

@@ -318,6 +318,7 @@ fn write_found(
         _ => {
             let display = Display {
                 exposure: EXPOSURE_AT_ZERO_EV * scene.exposure_ev().exp2(),
+                curve: scene.tone().curve(),
                 tone_map: chosen.has(Approximation::ToneMap),
                 dither: chosen.has(Approximation::Dither),
             };

@@ -118,6 +118,7 @@ impl Inbound<'_> {
                 view.jpeg_quality = quality.get();
             }
             view.quality = change.quality.unwrap_or(view.quality);
+            view.show = change.show.unwrap_or(view.show);
         });
         self.pace.view();
     }

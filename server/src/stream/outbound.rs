@@ -194,5 +194,8 @@ fn status_of(
             is_met: known.quality.is_met,
             device_ms: known.quality.device_ms_per_frame,
         }),
+        renderer: known.map(|known| known.renderer),
+        renderer_note: known.and_then(|known| known.renderer_note.map(str::to_owned)),
+        show_note: known.and_then(|known| known.show_note.map(str::to_owned)),
     }
 }

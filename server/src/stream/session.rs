@@ -60,6 +60,7 @@ async fn serve(
         camera: hello.camera,
         renderer: hello.renderer,
         quality: hello.quality,
+        show: hello.show,
     };
     let viewer = match context.viewers.join(view) {
         Ok(viewer) => viewer,

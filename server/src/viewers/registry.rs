@@ -130,6 +130,7 @@ mod tests {
             camera: Camera::default(),
             renderer: RendererKind::Cached,
             quality: None,
+            show: skycell_protocol::Show::Picture,
         }
     }
 

@@ -2,12 +2,31 @@
 #import skycell::march::{scene, LayerRadiance}
 #import skycell::scene::{Scene, Layer}
 #import skycell::shell::shell_roots
-#import skycell::shade::{Background, Ray, background, hidden_by_ground, pixel_ray, background_radiance, sun_phase_per_sr, layer_over}
-#import skycell::tone::{balanced, filmic, srgb_from_linear, dithered_bytes}
+#import skycell::shade::{Background, Ray, background, hidden_by_ground, pixel_ray}
+// What a viewer looks at instead of the picture takes the place of these functions.
+#ifdef SHOW_VALUES
+#import skycell::show::{no_values as background_radiance, values_over as layer_over, colour_of_values}
+#else
+#ifdef SHOW_PART
+#import skycell::show::{black_background as background_radiance, part_over as layer_over}
+#else
+#import skycell::shade::{background_radiance, layer_over}
+#endif
+#endif
+#ifdef SHOW_PHASE_OFF
+#import skycell::show::isotropic_per_sr as sun_phase_per_sr
+#else
+#import skycell::shade::sun_phase_per_sr
+#endif
+#import skycell::tone::{balanced, encoded, dithered_bytes}
 #import skycell::view::{View, PageTable, ListedRay, pixel_direction}
 #import skycell::shell::altitude_m
 #ifndef SCREEN_SPACE
+#ifdef SHOW_CACHE
+#import skycell::show::cached_entry as cached_radiance
+#else
 #import skycell::cached::cached_radiance
+#endif
 #endif
 
 @group(3) @binding(0) var<uniform> view: View;
@@ -196,7 +215,11 @@ fn composite(@builtin(global_invocation_id) id: vec3u) {
 #ifdef LINEAR_OUTPUT
         if inside { picture[at] = vec4f(radiance, 1.0); }
 #else
-        let bytes = dithered_bytes(srgb_from_linear(filmic(balanced(radiance) * world.exposure)), pixel);
+#ifdef SHOW_VALUES
+        let bytes = pack4x8unorm(vec4f(colour_of_values(radiance), 1.0));
+#else
+        let bytes = dithered_bytes(encoded(balanced(radiance) * world.exposure), pixel);
+#endif
         if inside { picture[at] = bytes; }
 #endif
     }

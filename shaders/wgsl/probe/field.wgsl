@@ -6,7 +6,7 @@
 #import skycell::phase::{one_minus_mu, phase_per_sr, phase_over_disc_per_sr}
 #import skycell::sky::{clear_sky, relative_air_mass, sun_disc_radiance}
 #import skycell::shade::{background, background_radiance, pixel_ray, layer_over, sun_phase_per_sr}
-#import skycell::tone::{balanced, filmic}
+#import skycell::tone::{balanced, filmic, agx_encoded, neutral}
 #import skycell::accumulate::accumulated
 #import skycell::density::{coverage_from_map, type_from_map}
 #ifdef DENSITY_WEATHER
@@ -111,8 +111,13 @@ fn probe_field(@builtin(global_invocation_id) id: vec3u) {
             let cloud = LayerRadiance(c.x, c.y, c.z, c.w, b.w);
             value = vec4f(layer_over(world, back, sun_phase_per_sr(world, ray), d.xyz, cloud, layer.air_extinction_per_m), 0.0);
         }
-        // The tone curve of a.xyz
-        case 11u: { value = vec4f(filmic(balanced(a.xyz)), 0.0); }
+        // The tone curves of a.xyz; b.x says which.
+        case 11u: {
+            let white = balanced(a.xyz);
+            if b.x == 0.0 { value = vec4f(filmic(white), 0.0); }
+            if b.x == 1.0 { value = vec4f(agx_encoded(white), 0.0); }
+            if b.x == 2.0 { value = vec4f(neutral(white), 0.0); }
+        }
         // What a texel that has taken b.w samples and holds d has after b.x more, which alternate between a + c and a - c,
         // with 1/n as the weight of the first b.y of all and b.z as that of all later ones. (Mesa's software driver ends
         // loops after 65 535 rounds.)

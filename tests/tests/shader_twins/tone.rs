@@ -71,3 +71,53 @@ fn the_filmic_curve_is_its_fit_from_black_to_the_sun() {
     // Planted: no white balance.
     judge("filmic curve", points.len(), check(white), check([1.0; 3]));
 }
+
+/// Colours from black to far above white, grey and saturated ones.
+fn colours() -> Vec<[f32; 3]> {
+    (0..12_000)
+        .map(|index| {
+            let brightness = 10f64.powf(-9.0 + 15.0 * f64::from(index) / 11_999.0);
+            let turn = f64::from(index) * 0.618_033_988_749_895;
+            let share = |shift: f64| (0.02 + 0.98 * (turn + shift).fract()) * brightness;
+            [share(0.0) as f32, share(0.37) as f32, share(0.71) as f32]
+        })
+        .collect()
+}
+
+#[test]
+fn agx_and_neutral_are_their_published_curves_and_keep_the_order_of_the_channels() {
+    let probe = SceneProbe::open(&serde_json::json!({"version": 1}), true);
+    let white = [0.8444, 1.0602, 1.0954];
+    for (number, curve, bound) in [
+        // A logarithm of base two in f32 is good to 2^-21 or so of sixteen, the slope of the curve at most 3 of its range, the
+        // power and the matrix add little: two thousandths of an eight-bit step would be 8e-6.
+        (
+            1.0f32,
+            skycell_tests::tone::agx as fn([f64; 3]) -> [f64; 3],
+            4e-5,
+        ),
+        (2.0, skycell_tests::tone::neutral, 4e-6),
+    ] {
+        let points: Vec<FieldPoint> = colours()
+            .into_iter()
+            .map(|[r, g, b]| [[r, g, b, 0.0], [number, 0.0, 0.0, 0.0], [0.0; 4], [0.0; 4]])
+            .collect();
+        let values = probe.ask(FieldQuestion::Tone, &points);
+        let check = |white: [f64; 3]| {
+            worst(points.iter().zip(&values).flat_map(|(point, value)| {
+                let exact = curve([0, 1, 2].map(|c| f64::from(point[0][c]) / white[c]));
+                [0, 1, 2].map(|c| ((f64::from(value[0][c]) - exact[c]).abs(), bound))
+            }))
+        };
+        judge("tone curve", points.len(), check(white), check([1.0; 3]));
+        // Hue: no channel overtakes another on the way to white.
+        for (point, value) in points.iter().zip(&values) {
+            let balanced = [0, 1, 2].map(|c| f64::from(point[0][c]) / white[c]);
+            for (a, b) in [(0, 1), (1, 2), (0, 2)] {
+                if balanced[a] > 1.0001 * balanced[b] {
+                    assert!(value[0][a] >= value[0][b] - 1e-4, "{point:?} {value:?}");
+                }
+            }
+        }
+    }
+}

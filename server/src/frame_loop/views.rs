@@ -1,0 +1,140 @@
+//! Pictures of one quantity instead of the sky: whether a view says anything of a viewer's frames, and its pipelines, which
+//! are made beside the frames when somebody first asks for them.
+
+use super::renderer::{SkyRenderer, frame_key};
+use super::viewers_on_device::ActiveViewer;
+use crate::composite::{
+    CompositeInputs, InspectionInputs, Inspections, Picture, ground_key, inspect_key, shown_key,
+    shown_of,
+};
+use crate::gpu::PipelineKey;
+use crate::march::layer_features;
+use skycell_protocol::{RendererKind, Show, ViewerId};
+use skycell_shaders::Shown;
+
+/// Why a view of the cache shows the picture instead.
+const NOT_CACHED: &str =
+    "this viewer's frames are made by rays of its own, not from the cache; the picture is shown";
+/// Why a view that was asked for is not there yet.
+const BEING_MADE: &str = "the view is being made; the picture is shown until then";
+/// Why nothing of the field is shown.
+const NO_LAYERS: &str = "the scene has no layer that holds cloud";
+
+impl SkyRenderer {
+    /// The keys of a view: one composite and its ground rows, or one inspection per layer.
+    pub(super) fn shown_keys(&self, shown: Shown, composite: PipelineKey) -> Vec<PipelineKey> {
+        if shown.is_inspection() {
+            self.active
+                .iter()
+                .map(|layer| {
+                    let settings = &self.settings;
+                    let features = layer_features(&self.scene, layer.scene_index, settings);
+                    inspect_key(features, shown)
+                })
+                .collect()
+        } else {
+            let key = shown_key(composite, shown);
+            vec![key, ground_key(key)]
+        }
+    }
+
+    fn frame_keys(&self, viewer: &ActiveViewer, shown: Shown) -> Vec<PipelineKey> {
+        let filter = viewer.quality.settings.frame_filter;
+        let screen_space = viewer.kind == RendererKind::ScreenSpace;
+        let composite = frame_key(
+            &self.gpu,
+            &self.scene,
+            filter,
+            self.active.len(),
+            screen_space,
+        );
+        self.shown_keys(shown, composite)
+    }
+
+    /// What a viewer's frames show: what it asks for, or the picture where that says nothing or is not there yet, and why.
+    pub(super) fn shown_to(&self, viewer: &ActiveViewer) -> (Shown, Option<&'static str>) {
+        let shown = shown_of(viewer.view.show);
+        if shown == Shown::Picture {
+            return (shown, None);
+        }
+        if shown.is_of_cache() && viewer.kind == RendererKind::ScreenSpace {
+            return (Shown::Picture, Some(NOT_CACHED));
+        }
+        if shown.is_inspection() && self.active.is_empty() {
+            return (Shown::Picture, Some(NO_LAYERS));
+        }
+        let keys = self.frame_keys(viewer, shown);
+        if keys.iter().all(|key| self.pipelines.get(*key).is_some()) {
+            (shown, None)
+        } else {
+            (Shown::Picture, Some(BEING_MADE))
+        }
+    }
+
+    /// Has the pipelines of what viewers look at made on another thread; none is made in a frame.
+    pub(super) fn prepare_views(&mut self) {
+        let mut wanted = Vec::new();
+        for viewer in self.viewers.values() {
+            let shown = shown_of(viewer.view.show);
+            let says_nothing = shown.is_of_cache() && viewer.kind == RendererKind::ScreenSpace;
+            if shown != Shown::Picture && !says_nothing {
+                wanted.extend(self.frame_keys(viewer, shown));
+            }
+        }
+        if !wanted.is_empty() {
+            self.pipelines.prepare_later(&self.gpu, wanted);
+        }
+    }
+
+    /// Takes over what was made beside the frames; returns the viewers whose frames can now show what they ask for.
+    pub(super) fn take_views(&mut self) -> Vec<ViewerId> {
+        if !self.pipelines.take_finished() {
+            return Vec::new();
+        }
+        self.viewers
+            .iter()
+            .filter(|(_, viewer)| viewer.view.show != Show::Picture)
+            .map(|(id, _)| *id)
+            .collect()
+    }
+
+    /// Whether somebody in a cell looks at the age of its texels.
+    pub(super) fn ages_are_shown(&self, cell: skycell_protocol::CellId) -> bool {
+        self.viewers
+            .values()
+            .any(|viewer| viewer.cell == cell && viewer.view.show == Show::CacheAge)
+    }
+
+    /// Records an inspection in the place of a composite.
+    pub(super) fn record_inspection(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        picture: &Picture,
+        inputs: &CompositeInputs<'_>,
+        field: &wgpu::BindGroup,
+        shown: Shown,
+    ) {
+        let keys = self.shown_keys(shown, inputs.key);
+        let highest_top_m = self
+            .active
+            .iter()
+            .map(|layer| self.scene.layers()[layer.scene_index].top_altitude_m())
+            .fold(1.0, f64::max);
+        let layers = self.active.len();
+        let inspections = self.inspections.get_or_insert_with(|| {
+            Inspections::new(&self.gpu, &self.pipelines, layers, highest_top_m)
+        });
+        picture.record_inspection(
+            &self.gpu,
+            encoder,
+            &mut self.timing,
+            &self.pipelines,
+            inputs,
+            &InspectionInputs {
+                field,
+                inspections,
+                keys: &keys,
+            },
+        );
+    }
+}
