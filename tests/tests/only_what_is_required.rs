@@ -2,7 +2,7 @@
 //! recorded, and the resources that the compiled shaders reach.
 
 use serde_json::{Value, json};
-use skycell_protocol::{Camera, FrameSize, RendererKind, Scene};
+use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, Show};
 use skycell_server::config::RenderConfig;
 use skycell_server::frame_loop::{StillRenderer, StillSettings};
 use skycell_server::gpu::DeviceInventory;
@@ -16,12 +16,22 @@ fn rendered(
     document: &Value,
     kind: RendererKind,
 ) -> (DeviceInventory, BTreeMap<&'static str, BTreeSet<String>>) {
+    rendered_as(document, kind, Show::Picture)
+}
+
+/// As [`rendered`], of a picture that shows something else.
+fn rendered_as(
+    document: &Value,
+    kind: RendererKind,
+    show: Show,
+) -> (DeviceInventory, BTreeMap<&'static str, BTreeSet<String>>) {
     let scene = Scene::from_json(document).expect("a valid document");
     let noise = target_dir().expect("a folder").join("noise-of-tests");
     let mut still =
         StillRenderer::new(RenderConfig::new(noise), Arc::new(scene), &[]).expect("a device");
     let settings = StillSettings {
         renderer: kind,
+        show,
         samples: 1,
         march: MarchSettings {
             steps: 16,
@@ -106,4 +116,15 @@ fn a_layer_that_is_filled_reads_neither_maps_nor_noise() {
         march.contains("field_maps") && !march.contains("field_grids"),
         "{march:?}"
     );
+}
+
+#[test]
+fn a_plain_picture_has_nothing_of_views_and_one_of_the_field_has_its_own_pass() {
+    let document = json!({"version": 1});
+    let (inventory, reads) = rendered(&document, RendererKind::Cached);
+    assert!(!inventory.has("inspection") && passes(&inventory, "inspection") == 0);
+    assert!(!reads.contains_key("inspect"), "{reads:?}");
+    let (inventory, reads) = rendered_as(&document, RendererKind::Cached, Show::Density);
+    assert!(inventory.has("inspection") && passes(&inventory, "inspection") == 1);
+    assert!(reads["inspect"].contains("field_shape"), "{reads:?}");
 }

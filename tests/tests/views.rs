@@ -85,7 +85,7 @@ fn slab() -> Value {
     json!({
         "version": 1, "planet": "flat",
         "atmosphere": {"model": "uniform"},
-        "sun": {"elevation_deg": 60},
+        "sun": {"elevation_deg": 10},
         "layers": [{"base_altitude_m": 2000, "top_altitude_m": 2200, "extinction_per_m": 0.005,
             "density": {"model": "homogeneous"}}],
         "wind": {"speed_m_per_s": 0}
@@ -176,10 +176,8 @@ fn the_field_of_a_filled_slab_is_one_where_it_is_and_nothing_beside_it() {
     assert_eq!(middle(&picture), NOTHING);
     let steps = looking_up(&mut still, Show::Steps, RendererKind::ScreenSpace);
     let shown = share_of(middle(&steps)) * 512.0;
-    assert!(
-        (shown - 32.0).abs() < 10.0,
-        "{shown} steps through a slab of 32"
-    );
+    // Steps are a 64th of the distance here: ln(2200 / 2000) · 64 = 6.1 of them.
+    assert!((2.0..14.0).contains(&shown), "{shown} steps");
 }
 
 #[test]

@@ -226,8 +226,9 @@ impl SkyRenderer {
         let size = meter.picture.size();
         let frustum = view_frustum(&camera, size, &cell.frame);
         let mut view = view_uniform(&frustum, &cell.frame, size);
-        for layer in 0..self.active.len().min(view.tables.len()) {
-            view.tables[layer] = cell.buffers.table(layer, 0);
+        let tables = view.tables.iter_mut().take(self.active.len());
+        for (layer, table) in tables.enumerate() {
+            *table = cell.buffers.table(layer, 0);
         }
         let layers = cell
             .buffers
