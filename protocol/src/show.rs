@@ -106,7 +106,7 @@ pub const AGE_LOW_S: f64 = 0.1;
 /// And of the old end.
 pub const AGE_HIGH_S: f64 = 3600.0;
 /// Samples at the light end of the colours of [`Show::Steps`].
-pub const STEPS_HIGH: f64 = 512.0;
+pub const STEPS_HIGH: f64 = 256.0;
 /// Levels of the cache are shown up to this one.
 pub const MIP_HIGH: f64 = 6.0;
 /// Height of the ground that a view from above shows, and length of a section, m.

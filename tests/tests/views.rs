@@ -175,7 +175,7 @@ fn the_field_of_a_filled_slab_is_one_where_it_is_and_nothing_beside_it() {
     let picture = looking_up(&mut still, Show::Type, RendererKind::Cached);
     assert_eq!(middle(&picture), NOTHING);
     let steps = looking_up(&mut still, Show::Steps, RendererKind::ScreenSpace);
-    let shown = share_of(middle(&steps)) * 512.0;
+    let shown = share_of(middle(&steps)) * 256.0;
     // Steps are a 64th of the distance here: ln(2200 / 2000) · 64 = 6.1 of them.
     assert!((2.0..14.0).contains(&shown), "{shown} steps");
 }

@@ -35,7 +35,7 @@ const LENGTH_MAX_M: f32 = 150000.0;
 /// Height of the ground that a view from above shows and length of a section, m.
 const MAP_EXTENT_M: f32 = 40000.0;
 /// Samples of a ray at the light end of the scale.
-const STEPS_HIGH: f32 = 512.0;
+const STEPS_HIGH: f32 = 256.0;
 
 /// x: the value at a place of a layer; y: how much it counts against others of its pixel, 0: nothing is there.
 fn value_at(layer: Layer, position: vec3f, altitude: f32) -> vec2f {
