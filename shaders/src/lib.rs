@@ -39,7 +39,7 @@ pub enum Kernel {
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::MarchTexels,
         Self::MarchPixels,
         Self::AuditTexels,

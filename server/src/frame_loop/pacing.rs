@@ -7,8 +7,6 @@ use super::interface::{
 use super::renderer::SkyRenderer;
 use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{BlendStep, Gpu, GpuError, TimedPass};
-use skycell_protocol::{RendererKind, Scene, ViewerId};
-use crate::gpu::{Gpu, GpuError, TimedPass};
 use skycell_protocol::{RendererKind, Scene, Show, ViewerId};
 use std::collections::BTreeMap;
 use std::sync::Arc;
