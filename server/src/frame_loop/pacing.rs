@@ -295,6 +295,11 @@ impl FrameLoop {
         self.blended = now;
         if self.renderer.step_maps() != BlendStep::None {
             for pace in self.paces.values_mut() {
+                pace.change = Change::Seen;
+            }
+        }
+    }
+
     /// Who looks at the age of texels sees them age.
     fn note_ages(&mut self, now: Instant) {
         for (id, pace) in &mut self.paces {
