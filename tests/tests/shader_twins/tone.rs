@@ -109,12 +109,12 @@ fn agx_and_neutral_are_their_published_curves_and_keep_the_order_of_the_channels
             }))
         };
         judge("tone curve", points.len(), check(white), check([1.0; 3]));
-        // Hue: no channel overtakes another on the way to white.
+        // Hue: no channel overtakes another on the way to white, by more than half an eight-bit step.
         for (point, value) in points.iter().zip(&values) {
             let balanced = [0, 1, 2].map(|c| f64::from(point[0][c]) / white[c]);
             for (a, b) in [(0, 1), (1, 2), (0, 2)] {
                 if balanced[a] > 1.01 * balanced[b] {
-                    assert!(value[0][a] >= value[0][b] - 1e-4, "{point:?} {value:?}");
+                    assert!(value[0][a] >= value[0][b] - 2e-3, "{point:?} {value:?}");
                 }
             }
         }
