@@ -219,9 +219,9 @@ impl<T: ReadJson> ReadJson for Vec<T> {
     }
 }
 
-/// Declares a wire type whose keys are all optional: the struct, its defaults, how it is written
-/// (serde) and how it is read (`ReadJson`, which refuses unknown keys).
-macro_rules! document {
+/// Declares a wire type whose keys are all optional: the struct, its defaults and how it is written (serde). How it is read
+/// is the declarer's: see `document!`.
+macro_rules! document_members {
     (
         $(#[$meta:meta])*
         pub struct $name:ident {
@@ -244,13 +244,29 @@ macro_rules! document {
             /// Every key that the document knows.
             pub const KEYS: &'static [&'static str] = &[ $( $key, )* ];
 
-            /// Reads the members without refusing others: a tagged document has its tag beside them.
-            fn read_members(
+            /// Reads the members without refusing others: a tagged document has its tag beside them. Keys that are
+            /// missing keep what `default` has.
+            fn read_members_or(
                 members: &crate::read_json::ObjectReader<'_>,
+                default: Self,
             ) -> Result<Self, crate::ValueError> {
-                let default = Self::default();
                 Ok(Self { $( $field: members.member_or($key, default.$field)?, )* })
             }
+        }
+    };
+}
+pub(crate) use document_members;
+
+/// Declares a wire type whose keys are all optional: the struct, its defaults, how it is written
+/// (serde) and how it is read (`ReadJson`, which refuses unknown keys).
+macro_rules! document {
+    (
+        $(#[$meta:meta])*
+        pub struct $name:ident { $($members:tt)* }
+    ) => {
+        crate::read_json::document_members! {
+            $(#[$meta])*
+            pub struct $name { $($members)* }
         }
 
         impl crate::read_json::ReadJson for $name {
@@ -260,7 +276,7 @@ macro_rules! document {
             ) -> Result<Self, crate::ValueError> {
                 let members = crate::read_json::ObjectReader::new(value, pointer)?;
                 members.only(Self::KEYS)?;
-                Self::read_members(&members)
+                Self::read_members_or(&members, Self::default())
             }
         }
     };

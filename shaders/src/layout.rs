@@ -103,10 +103,8 @@ gpu_struct! {
 }
 
 gpu_struct! {
-    /// How light scatters in cloud.
-    Light {
-        /// 0 isotropic, 1 Henyey-Greenstein, 2 Draine, 3 HG + Draine.
-        phase_model: u32,
+    /// Where droplets or crystals scatter light to.
+    Phase {
         /// Asymmetry of the Henyey-Greenstein part.
         g_hg: f32,
         /// Asymmetry of the Draine part.
@@ -115,22 +113,28 @@ gpu_struct! {
         alpha_draine: f32,
         /// Weight of the Draine part, 0…1.
         draine_weight: f32,
+    }
+}
+
+gpu_struct! {
+    /// How light scatters in cloud.
+    Light {
+        /// What layers have that have none of their own.
+        phase: Phase,
         /// Scattering octaves, 1…16.
         octaves: u32,
         /// Samples towards the sun.
         sun_steps: u32,
         /// Length of the march towards the sun, m.
         sun_march_distance_m: f32,
+        /// Strength of ambient light.
+        ambient: f32,
         /// a^i.
         octave_attenuation: [[f32; 4]; 4],
         /// b^i, 0 beyond the last octave.
         octave_contribution: [[f32; 4]; 4],
         /// c^i.
         octave_eccentricity: [[f32; 4]; 4],
-        /// Strength of ambient light.
-        ambient: f32,
-        /// Padding.
-        _pad_end: [f32; 3],
     }
 }
 
@@ -171,8 +175,8 @@ gpu_struct! {
         map_index: u32,
         /// Altitude of the proxy sphere, m.
         proxy_altitude_m: f32,
-        /// Padding.
-        _pad_anchor: [f32; 2],
+        /// Unit vector along the fibres of a sheet, x and z.
+        fibre_axis: [f32; 2],
         /// Centre of the octahedral addresses in the cell's frame, m.
         anchor: [f32; 3],
         /// Shortest step inside cloud, m.
@@ -199,6 +203,20 @@ gpu_struct! {
         grid_dimensions: [u32; 3],
         /// Fills to 16 bytes.
         pad_grid: u32,
+        /// Where the droplets or crystals scatter light to.
+        phase: Phase,
+        /// What shape noise is squeezed to begin at.
+        shape_floor: f32,
+        /// What it is squeezed into above that.
+        shape_range: f32,
+        /// How steeply density rises from a cloud's surface inwards.
+        steepness: f32,
+        /// How much of the local type hangs on the local coverage, 0…1.
+        dome: f32,
+        /// Share of wispy noise above the base, 0…1.
+        wispiness: f32,
+        /// Padding.
+        _pad_form: [f32; 3],
     }
 }
 

@@ -104,6 +104,8 @@ pub enum Density {
     Weather,
     /// Voxels.
     Grid,
+    /// A thin sheet.
+    Cirrus,
 }
 
 /// From radiance to what a screen shows.
@@ -141,6 +143,10 @@ pub struct Features {
     pub ray_list: bool,
     /// Marched pixels are fewer than the picture's (screen-space renderer).
     pub upsample: bool,
+    /// Layers scatter light each in its own way; else all as the first (composite).
+    pub own_phases: bool,
+    /// Layers share altitudes: what is seen nearer hides the other, not what lies lower (composite).
+    pub overlap: bool,
     /// Two by two pixels share what is behind the clouds, evaluated where they meet.
     pub shared_background: bool,
     /// From radiance to what a screen shows.
@@ -162,6 +168,8 @@ impl Default for Features {
             count_reads: false,
             ray_list: false,
             upsample: false,
+            own_phases: false,
+            overlap: false,
             shared_background: false,
             tone: Tone::Aces,
             shown: Shown::Picture,
@@ -173,12 +181,17 @@ impl Features {
     /// Every value of every feature, and every pair of those that meet in one function: octave vectors and layers, which
     /// no kernel reads both, step together, and so do features of the march and of the composite.
     pub fn all() -> impl Iterator<Item = Self> {
-        let densities = [Density::Homogeneous, Density::Weather, Density::Grid];
+        let densities = [
+            Density::Homogeneous,
+            Density::Weather,
+            Density::Grid,
+            Density::Cirrus,
+        ];
         (0..=4u32).flat_map(move |count| {
             (0..16u32).map(move |bits| Self {
                 octave_vectors: count.max(1),
                 layers: count,
-                density: densities[((bits + count) % 3) as usize],
+                density: densities[((bits + count) % 4) as usize],
                 catmull_rom: bits & 1 != 0,
                 exact_interpolation: bits & 1 != 0,
                 linear_output: bits & 2 != 0,
@@ -186,6 +199,8 @@ impl Features {
                 screen_space: bits & 4 != 0,
                 ray_list: bits & 12 == 4,
                 upsample: bits & 12 == 12,
+                own_phases: bits & 8 != 0,
+                overlap: bits & 2 != 0,
                 shared_background: bits & 1 != 0,
                 tone: [Tone::Aces, Tone::Agx, Tone::Neutral][((bits + count) % 3) as usize],
                 shown: Shown::Picture,
@@ -207,6 +222,11 @@ impl Features {
         for (name, set) in [
             ("DENSITY_WEATHER", self.density == Density::Weather),
             ("DENSITY_GRID", self.density == Density::Grid),
+            ("DENSITY_CIRRUS", self.density == Density::Cirrus),
+            (
+                "DENSITY_SHAPE",
+                matches!(self.density, Density::Homogeneous | Density::Grid),
+            ),
             ("CATMULL_ROM", self.catmull_rom),
             ("LINEAR_OUTPUT", self.linear_output),
             ("SCREEN_SPACE", self.screen_space),
@@ -214,6 +234,8 @@ impl Features {
             ("COUNT_READS", self.count_reads),
             ("RAY_LIST", self.ray_list),
             ("UPSAMPLE", self.upsample),
+            ("OWN_PHASES", self.own_phases),
+            ("LAYERS_OVERLAP", self.overlap),
             ("SHARED_BACKGROUND", self.shared_background),
             ("TONE_AGX", self.tone == Tone::Agx),
             ("TONE_NEUTRAL", self.tone == Tone::Neutral),

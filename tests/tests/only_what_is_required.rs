@@ -128,3 +128,19 @@ fn a_plain_picture_has_nothing_of_views_and_one_of_the_field_has_its_own_pass() 
     assert!(inventory.has("inspection") && passes(&inventory, "inspection") == 1);
     assert!(reads["inspect"].contains("field_shape"), "{reads:?}");
 }
+
+#[test]
+fn a_sheet_of_ice_reads_one_map_and_no_noise() {
+    let document = json!({"version": 1, "layers": [{"family": "cirrus"}]});
+    let (_, reads) = rendered(&document, RendererKind::Cached);
+    let march = &reads["march_texels"];
+    assert!(march.contains("field_maps"), "{march:?}");
+    for name in [
+        "field_profile",
+        "field_shape",
+        "field_detail",
+        "field_grids",
+    ] {
+        assert!(!march.contains(name), "{march:?}");
+    }
+}

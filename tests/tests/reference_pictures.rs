@@ -18,7 +18,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// A scene and where it is seen from: altitude, yaw, pitch, vertical angle of view.
-const SCENES: [(&str, [f64; 4]); 12] = [
+const SCENES: [(&str, [f64; 4]); 14] = [
     ("clear-noon", [2.0, 0.0, 25.0, 60.0]),
     ("fair-noon", [2.0, 40.0, 30.0, 60.0]),
     ("broken-morning", [2.0, 200.0, 25.0, 70.0]),
@@ -30,6 +30,8 @@ const SCENES: [(&str, [f64; 4]); 12] = [
     ("near-base", [2.0, 0.0, 60.0, 60.0]),
     ("horizon", [2.0, 0.0, 3.0, 20.0]),
     ("two-layers", [2.0, 330.0, 40.0, 60.0]),
+    ("high-clouds", [2.0, 60.0, 40.0, 60.0]),
+    ("one-in-another", [2.0, 20.0, 30.0, 60.0]),
     ("from-above", [8_000.0, 60.0, -15.0, 60.0]),
 ];
 

@@ -4,9 +4,10 @@ use glam::DVec3;
 use serde_json::Value;
 
 use super::document::{
-    BoxDocument, DensityDocument, GridDocument, HomogeneousDocument, ShapeDocument, SphereDocument,
-    WeatherDocument,
+    BoxDocument, CirrusDocument, DensityDocument, GridDocument, HomogeneousDocument, ShapeDocument,
+    SphereDocument, WeatherDocument,
 };
+use super::family::{CloudForm, WeatherPattern, WeatherProfile};
 use super::maps::{MapFiles, checked_file_name};
 use super::ranges;
 use crate::ValueError;
@@ -21,13 +22,15 @@ pub enum DensityModel {
     Homogeneous(Shape),
     /// Voxels.
     Grid(GridDensity),
+    /// A thin sheet of ice.
+    Cirrus(CirrusDensity),
 }
 
 impl DensityModel {
     /// The box outside which density is 0, where the model has one.
     pub fn bounds_m(&self) -> Option<[DVec3; 2]> {
         match self {
-            Self::Weather(_) | Self::Homogeneous(Shape::Layer) => None,
+            Self::Weather(_) | Self::Cirrus(_) | Self::Homogeneous(Shape::Layer) => None,
             Self::Homogeneous(Shape::Box { center_m, size_m }) => {
                 Some([*center_m - 0.5 * *size_m, *center_m + 0.5 * *size_m])
             }
@@ -101,6 +104,8 @@ impl GridDensity {
 /// Density from weather maps and noise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WeatherDensity {
+    profile: WeatherProfile,
+    pattern: WeatherPattern,
     coverage: f64,
     cloud_type: f64,
     map_span_m: f64,
@@ -113,12 +118,27 @@ pub struct WeatherDensity {
 }
 
 impl WeatherDensity {
+    /// Which vertical profiles the type walks through.
+    pub fn profile(&self) -> WeatherProfile {
+        self.profile
+    }
+
+    /// What the coverage map looks like.
+    pub fn pattern(&self) -> WeatherPattern {
+        self.pattern
+    }
+
+    /// How noise carves the clouds.
+    pub fn form(&self) -> CloudForm {
+        CloudForm::of(self.profile, self.cloud_type)
+    }
+
     /// Share of the sky that clouds cover, 0 to 1.
     pub fn coverage(&self) -> f64 {
         self.coverage
     }
 
-    /// 0 stratus to 1 cumulus.
+    /// Place among the profile's types, 0 to 1.
     pub fn cloud_type(&self) -> f64 {
         self.cloud_type
     }
@@ -160,7 +180,10 @@ impl WeatherDensity {
 
     /// Whether both read the same maps.
     pub fn same_maps(&self, other: &Self) -> bool {
-        self.seed == other.seed && self.maps.same_files(&other.maps)
+        self.seed == other.seed
+            && self.pattern == other.pattern
+            && self.profile == other.profile
+            && self.maps.same_files(&other.maps)
     }
 
     /// The same layer with another's maps.
@@ -168,8 +191,93 @@ impl WeatherDensity {
     pub fn with_maps_of(&self, other: &Self) -> Self {
         Self {
             seed: other.seed,
+            pattern: other.pattern,
+            profile: other.profile,
             maps: other.maps.clone(),
             ..self.clone()
+        }
+    }
+}
+
+/// Density of a thin sheet of ice: a texture of fibres and veils, the same at all of the layer's altitudes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CirrusDensity {
+    coverage: f64,
+    cloud_type: f64,
+    optical_depth: f64,
+    map_span_m: f64,
+    fibre_period_m: f64,
+    fibres_towards_deg: f64,
+    seed: u32,
+}
+
+impl CirrusDensity {
+    /// Share of the sky that the sheet covers, 0 to 1.
+    pub fn coverage(&self) -> f64 {
+        self.coverage
+    }
+
+    /// 0 an even veil to 1 fibres.
+    pub fn cloud_type(&self) -> f64 {
+        self.cloud_type
+    }
+
+    /// Optical depth straight through where density is 1.
+    pub fn optical_depth(&self) -> f64 {
+        self.optical_depth
+    }
+
+    /// Length after which patches repeat.
+    pub fn map_span_m(&self) -> f64 {
+        self.map_span_m
+    }
+
+    /// Length after which fibres repeat.
+    pub fn fibre_period_m(&self) -> f64 {
+        self.fibre_period_m
+    }
+
+    /// Unit vector along the fibres: x (east) and z (south).
+    pub fn fibre_axis(&self) -> [f64; 2] {
+        let (sin, cos) = self.fibres_towards_deg.to_radians().sin_cos();
+        [sin, -cos]
+    }
+
+    /// Another number, another sky.
+    pub fn seed(&self) -> u32 {
+        self.seed
+    }
+}
+
+impl TryFrom<CirrusDocument> for CirrusDensity {
+    type Error = ValueError;
+
+    fn try_from(document: CirrusDocument) -> Result<Self, ValueError> {
+        Ok(Self {
+            coverage: ranges::COVERAGE.check("/coverage", document.coverage)?,
+            cloud_type: ranges::CLOUD_TYPE.check("/type", document.cloud_type)?,
+            optical_depth: ranges::SHEET_OPTICAL_DEPTH
+                .check("/optical_depth", document.optical_depth)?,
+            map_span_m: ranges::MAP_SPAN_M.check("/map_span_m", document.map_span_m)?,
+            fibre_period_m: ranges::FIBRE_PERIOD_M
+                .check("/fibre_period_m", document.fibre_period_m)?,
+            fibres_towards_deg: ranges::AZIMUTH_DEG
+                .check("/fibres_towards_deg", document.fibres_towards_deg)?,
+            seed: document.seed,
+        })
+    }
+}
+
+impl From<&CirrusDensity> for CirrusDocument {
+    fn from(cirrus: &CirrusDensity) -> Self {
+        Self {
+            coverage: cirrus.coverage,
+            cloud_type: cirrus.cloud_type,
+            optical_depth: cirrus.optical_depth,
+            map_span_m: cirrus.map_span_m,
+            fibre_period_m: cirrus.fibre_period_m,
+            fibres_towards_deg: cirrus.fibres_towards_deg,
+            seed: cirrus.seed,
         }
     }
 }
@@ -279,6 +387,7 @@ impl TryFrom<DensityDocument> for DensityModel {
                 .map(Self::Homogeneous)
                 .map_err(|error| error.under("/shape")),
             DensityDocument::Grid(grid) => GridDensity::try_from(grid).map(Self::Grid),
+            DensityDocument::Cirrus(cirrus) => CirrusDensity::try_from(cirrus).map(Self::Cirrus),
         }
     }
 }
@@ -291,6 +400,7 @@ impl From<&DensityModel> for DensityDocument {
                 shape: (*shape).into(),
             }),
             DensityModel::Grid(grid) => Self::Grid(grid.into()),
+            DensityModel::Cirrus(cirrus) => Self::Cirrus(cirrus.into()),
         }
     }
 }
@@ -300,6 +410,8 @@ impl TryFrom<WeatherDocument> for WeatherDensity {
 
     fn try_from(document: WeatherDocument) -> Result<Self, ValueError> {
         Ok(Self {
+            profile: document.profile,
+            pattern: document.pattern,
             coverage: ranges::COVERAGE.check("/coverage", document.coverage)?,
             cloud_type: ranges::CLOUD_TYPE.check("/type", document.cloud_type)?,
             map_span_m: ranges::MAP_SPAN_M.check("/map_span_m", document.map_span_m)?,
@@ -320,6 +432,8 @@ impl TryFrom<WeatherDocument> for WeatherDensity {
 impl From<&WeatherDensity> for WeatherDocument {
     fn from(weather: &WeatherDensity) -> Self {
         Self {
+            profile: weather.profile,
+            pattern: weather.pattern,
             coverage: weather.coverage,
             cloud_type: weather.cloud_type,
             map_span_m: weather.map_span_m,

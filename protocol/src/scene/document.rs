@@ -4,11 +4,12 @@
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
+use super::family::{Family, WeatherPattern, WeatherProfile};
 use super::maps::MapsDocument;
 use super::tone::ToneDocument;
 use crate::ValueError;
 use crate::quality::QualityChoice;
-use crate::read_json::{ObjectReader, ReadJson, document, read_name};
+use crate::read_json::{ObjectReader, ReadJson, document, document_members, read_name};
 
 /// The version of the scene document that this crate reads and writes.
 pub const SCENE_VERSION: u32 = 1;
@@ -134,9 +135,11 @@ impl Default for AtmosphereDocument {
     }
 }
 
-document! {
+document_members! {
     /// A shell of the atmosphere that holds one family of clouds.
     pub struct LayerDocument {
+        /// The family whose values stand for the keys that are left out; null for the plain defaults.
+        "family" => family: Option<Family> = None,
         /// What people call it; no two layers have the same name.
         "name" => name: String = "low".to_owned(),
         /// Where clouds begin.
@@ -149,8 +152,34 @@ document! {
         "extinction_per_m" => extinction_per_m: f64 = 0.05,
         /// Share of extinction that is scattering.
         "single_scattering_albedo" => single_scattering_albedo: f64 = 0.9999,
+        /// Where this layer's droplets or crystals scatter light to; null for the scene's `light.phase`.
+        "phase" => phase: Option<PhaseDocument> = None,
         /// The layer's own wind; null for the scene's.
         "wind" => wind: Option<WindDocument> = None,
+    }
+}
+
+impl ReadJson for LayerDocument {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        let members = ObjectReader::new(value, pointer)?;
+        members.only(Self::KEYS)?;
+        let family: Option<Family> = members.member_or("family", None)?;
+        let default = family.map_or_else(Self::default, Family::layer);
+        let density = match members.optional::<Value>("density")? {
+            Some(value) => DensityDocument::read_json_or(
+                &value,
+                &members.pointer_of("density"),
+                &default.density,
+            )?,
+            None => default.density.clone(),
+        };
+        // Without its density, whose keys have other defaults in a family.
+        let mut others = value.clone();
+        if let Value::Object(others) = &mut others {
+            others.remove("density");
+        }
+        let layer = Self::read_members_or(&ObjectReader::new(&others, pointer)?, default)?;
+        Ok(Self { density, ..layer })
     }
 }
 
@@ -164,6 +193,8 @@ pub enum DensityDocument {
     Homogeneous(HomogeneousDocument),
     /// Voxels.
     Grid(GridDocument),
+    /// A thin sheet of ice.
+    Cirrus(CirrusDocument),
 }
 
 impl Default for DensityDocument {
@@ -230,11 +261,36 @@ document! {
 }
 
 document! {
+    /// Density of a thin sheet of ice: a texture of fibres and veils between the layer's altitudes, the same at each of
+    /// them. Its extinction comes from `optical_depth`, not from the layer's `extinction_per_m`.
+    pub struct CirrusDocument {
+        /// Share of the sky that the sheet covers.
+        "coverage" => coverage: f64 = 0.5,
+        /// 0 cirrostratus, an even veil, to 1 cirrus, fibres.
+        "type" => cloud_type: f64 = 1.0,
+        /// Optical depth straight through where the sheet is densest.
+        "optical_depth" => optical_depth: f64 = 0.5,
+        /// Length after which the patches of the sheet repeat.
+        "map_span_m" => map_span_m: f64 = 83_000.0,
+        /// Length after which the fibres repeat.
+        "fibre_period_m" => fibre_period_m: f64 = 21_000.0,
+        /// Clockwise from north, the direction along which wind shear has drawn the fibres.
+        "fibres_towards_deg" => fibres_towards_deg: f64 = 60.0,
+        /// Another number, another sky.
+        "seed" => seed: u32 = 1,
+    }
+}
+
+document! {
     /// Density from weather maps and noise.
     pub struct WeatherDocument {
+        /// Which vertical profiles `type` walks through.
+        "profile" => profile: WeatherProfile = WeatherProfile::Low,
+        /// What the coverage map looks like.
+        "pattern" => pattern: WeatherPattern = WeatherPattern::Puffs,
         /// Share of the sky that clouds cover.
         "coverage" => coverage: f64 = 0.45,
-        /// 0 stratus to 1 cumulus.
+        /// Profile `low`: 0 stratus, 1/3 stratocumulus, 2/3 cumulus, 1 cumulonimbus. `high`: 0 altostratus, 1 altocumulus.
         "type" => cloud_type: f64 = 0.7,
         /// Length after which the maps repeat.
         "map_span_m" => map_span_m: f64 = 40_000.0,
@@ -243,7 +299,7 @@ document! {
         /// Length after which the noise that frays their edges repeats.
         "detail_period_m" => detail_period_m: f64 = 420.0,
         /// How much the edges are frayed.
-        "detail_strength" => detail_strength: f64 = 0.3,
+        "detail_strength" => detail_strength: f64 = 0.22,
         /// Another number, another sky.
         "seed" => seed: u32 = 1,
         /// Speed at which the noise rises through the clouds, apart from the wind: they change their shapes.
@@ -279,6 +335,8 @@ document! {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "model", rename_all = "kebab-case")]
 pub enum PhaseDocument {
+    /// Rough ice crystals: two Henyey-Greenstein lobes.
+    Ice,
     /// Henyey-Greenstein and Draine mixed by droplet size (Jendersie & d'Eon 2023).
     HgDraine(HgDraineDocument),
     /// Henyey-Greenstein.
@@ -392,44 +450,79 @@ impl ReadJson for AtmosphereDocument {
         let analytic = read_model(&members, true, &[("analytic", true), ("uniform", false)])?;
         if analytic {
             only_model_keys(&members, "analytic", AnalyticAtmosphereDocument::KEYS)?;
-            AnalyticAtmosphereDocument::read_members(&members).map(Self::Analytic)
+            AnalyticAtmosphereDocument::read_members_or(
+                &members,
+                AnalyticAtmosphereDocument::default(),
+            )
+            .map(Self::Analytic)
         } else {
             only_model_keys(&members, "uniform", UniformAtmosphereDocument::KEYS)?;
-            UniformAtmosphereDocument::read_members(&members).map(Self::Uniform)
+            UniformAtmosphereDocument::read_members_or(
+                &members,
+                UniformAtmosphereDocument::default(),
+            )
+            .map(Self::Uniform)
         }
     }
 }
 
 impl ReadJson for DensityDocument {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        Self::read_json_or(value, pointer, &Self::default())
+    }
+}
+
+impl DensityDocument {
+    /// As `read_json`; a key that is left out has the value of `default` where that is of the same model.
+    fn read_json_or(value: &Value, pointer: &str, default: &Self) -> Result<Self, ValueError> {
         #[derive(Clone, Copy)]
         enum Model {
             Weather,
             Homogeneous,
             Grid,
+            Cirrus,
         }
         let members = ObjectReader::new(value, pointer)?;
         let model = read_model(
             &members,
-            Model::Weather,
+            match default {
+                Self::Weather(_) => Model::Weather,
+                Self::Homogeneous(_) => Model::Homogeneous,
+                Self::Grid(_) => Model::Grid,
+                Self::Cirrus(_) => Model::Cirrus,
+            },
             &[
                 ("weather", Model::Weather),
                 ("homogeneous", Model::Homogeneous),
                 ("grid", Model::Grid),
+                ("cirrus", Model::Cirrus),
             ],
         )?;
         match model {
             Model::Weather => {
                 only_model_keys(&members, "weather", WeatherDocument::KEYS)?;
-                WeatherDocument::read_members(&members).map(Self::Weather)
+                let default = match default {
+                    Self::Weather(weather) => weather.clone(),
+                    _ => WeatherDocument::default(),
+                };
+                WeatherDocument::read_members_or(&members, default).map(Self::Weather)
             }
             Model::Homogeneous => {
                 only_model_keys(&members, "homogeneous", HomogeneousDocument::KEYS)?;
-                HomogeneousDocument::read_members(&members).map(Self::Homogeneous)
+                HomogeneousDocument::read_members_or(&members, HomogeneousDocument::default())
+                    .map(Self::Homogeneous)
             }
             Model::Grid => {
                 only_model_keys(&members, "grid", GridDocument::KEYS)?;
-                GridDocument::read_members(&members).map(Self::Grid)
+                GridDocument::read_members_or(&members, GridDocument::default()).map(Self::Grid)
+            }
+            Model::Cirrus => {
+                only_model_keys(&members, "cirrus", CirrusDocument::KEYS)?;
+                let default = match default {
+                    Self::Cirrus(cirrus) => cirrus.clone(),
+                    _ => CirrusDocument::default(),
+                };
+                CirrusDocument::read_members_or(&members, default).map(Self::Cirrus)
             }
         }
     }
@@ -462,11 +555,12 @@ impl ReadJson for ShapeDocument {
             Form::Layer => only(&[]).map(|()| Self::Layer),
             Form::Box => {
                 only(BoxDocument::KEYS)?;
-                BoxDocument::read_members(&members).map(Self::Box)
+                BoxDocument::read_members_or(&members, BoxDocument::default()).map(Self::Box)
             }
             Form::Sphere => {
                 only(SphereDocument::KEYS)?;
-                SphereDocument::read_members(&members).map(Self::Sphere)
+                SphereDocument::read_members_or(&members, SphereDocument::default())
+                    .map(Self::Sphere)
             }
         }
     }
@@ -479,6 +573,7 @@ impl ReadJson for PhaseDocument {
             HgDraine,
             Hg,
             Draine,
+            Ice,
             Isotropic,
         }
         let members = ObjectReader::new(value, pointer)?;
@@ -489,21 +584,28 @@ impl ReadJson for PhaseDocument {
                 ("hg-draine", Model::HgDraine),
                 ("hg", Model::Hg),
                 ("draine", Model::Draine),
+                ("ice", Model::Ice),
                 ("isotropic", Model::Isotropic),
             ],
         )?;
         match model {
             Model::HgDraine => {
                 only_model_keys(&members, "hg-draine", HgDraineDocument::KEYS)?;
-                HgDraineDocument::read_members(&members).map(Self::HgDraine)
+                HgDraineDocument::read_members_or(&members, HgDraineDocument::default())
+                    .map(Self::HgDraine)
             }
             Model::Hg => {
                 only_model_keys(&members, "hg", HgDocument::KEYS)?;
-                HgDocument::read_members(&members).map(Self::Hg)
+                HgDocument::read_members_or(&members, HgDocument::default()).map(Self::Hg)
             }
             Model::Draine => {
                 only_model_keys(&members, "draine", DraineDocument::KEYS)?;
-                DraineDocument::read_members(&members).map(Self::Draine)
+                DraineDocument::read_members_or(&members, DraineDocument::default())
+                    .map(Self::Draine)
+            }
+            Model::Ice => {
+                only_model_keys(&members, "ice", &[])?;
+                Ok(Self::Ice)
             }
             Model::Isotropic => {
                 only_model_keys(&members, "isotropic", &[])?;

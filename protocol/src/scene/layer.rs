@@ -4,24 +4,36 @@ use serde_json::Value;
 
 use super::density::DensityModel;
 use super::document::LayerDocument;
+use super::family::Family;
+use super::light::PhaseFunction;
 use super::ranges;
 use super::sky::Wind;
 use crate::ValueError;
 use crate::number_range::NumberRange;
 
+/// Least thickness of a sheet of ice that its optical depth is spread over.
+const SHEET_THICKNESS_MIN_M: f64 = 1.0;
+
 /// A shell of the atmosphere that holds one family of clouds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CloudLayer {
+    family: Option<Family>,
     name: String,
     base_altitude_m: f64,
     top_altitude_m: f64,
     density: DensityModel,
     extinction_per_m: f64,
     single_scattering_albedo: f64,
+    phase: Option<PhaseFunction>,
     wind: Option<Wind>,
 }
 
 impl CloudLayer {
+    /// The family whose values stood for what the document left out, if it named one.
+    pub fn family(&self) -> Option<Family> {
+        self.family
+    }
+
     /// What people call it; no other layer of the scene has the same name.
     pub fn name(&self) -> &str {
         &self.name
@@ -42,14 +54,27 @@ impl CloudLayer {
         &self.density
     }
 
-    /// Extinction where density is 1.
+    /// Extinction where density is 1: the document's, or for a sheet of ice its optical depth over its thickness.
     pub fn extinction_per_m(&self) -> f64 {
-        self.extinction_per_m
+        match &self.density {
+            // A sheet without thickness shows nothing, whatever stands here.
+            DensityModel::Cirrus(cirrus) => {
+                let thickness_m = self.top_altitude_m - self.base_altitude_m;
+                cirrus.optical_depth() / thickness_m.max(SHEET_THICKNESS_MIN_M)
+            }
+            _ => self.extinction_per_m,
+        }
     }
 
     /// Share of extinction that is scattering, 0 to 1.
     pub fn single_scattering_albedo(&self) -> f64 {
         self.single_scattering_albedo
+    }
+
+    /// Where its droplets or crystals scatter light to, if not where the scene's do. What holds:
+    /// [`super::Scene::layer_phase`].
+    pub fn own_phase(&self) -> Option<&PhaseFunction> {
+        self.phase.as_ref()
     }
 
     /// The layer's own wind, if it has one. What moves it: [`super::Scene::layer_wind`].
@@ -88,7 +113,9 @@ impl TryFrom<LayerDocument> for CloudLayer {
             ranges::LAYER_ALTITUDE_M.check("/base_altitude_m", document.base_altitude_m)?;
         let above_base = NumberRange::new(base_altitude_m, ranges::LAYER_ALTITUDE_M.max);
         let wind = document.wind.map(Wind::try_from).transpose();
+        let phase = document.phase.map(PhaseFunction::try_from).transpose();
         Ok(Self {
+            family: document.family,
             name: document.name,
             base_altitude_m,
             top_altitude_m: above_base
@@ -104,6 +131,7 @@ impl TryFrom<LayerDocument> for CloudLayer {
                 "/single_scattering_albedo",
                 document.single_scattering_albedo,
             )?,
+            phase: phase.map_err(|e| e.under("/phase"))?,
             wind: wind.map_err(|e| e.under("/wind"))?,
         })
     }
@@ -112,12 +140,14 @@ impl TryFrom<LayerDocument> for CloudLayer {
 impl From<&CloudLayer> for LayerDocument {
     fn from(layer: &CloudLayer) -> Self {
         Self {
+            family: layer.family,
             name: layer.name.clone(),
             base_altitude_m: layer.base_altitude_m,
             top_altitude_m: layer.top_altitude_m,
             density: (&layer.density).into(),
             extinction_per_m: layer.extinction_per_m,
             single_scattering_albedo: layer.single_scattering_albedo,
+            phase: layer.phase.as_ref().map(Into::into),
             wind: layer.wind.as_ref().map(Into::into),
         }
     }

@@ -2,6 +2,7 @@
 
 mod density;
 mod document;
+mod family;
 mod layer;
 mod light;
 mod maps;
@@ -13,13 +14,15 @@ mod tone;
 
 use serde_json::Value;
 
-pub use density::{DensityModel, GridDensity, Shape, WeatherDensity};
+pub use density::{CirrusDensity, DensityModel, GridDensity, Shape, WeatherDensity};
 pub use document::{
-    AnalyticAtmosphereDocument, AtmosphereDocument, BoxDocument, DensityDocument, DraineDocument,
-    GridDocument, HgDocument, HgDraineDocument, HomogeneousDocument, LayerDocument, LightDocument,
-    PhaseDocument, PlanetChoice, PlanetDocument, SCENE_VERSION, SceneDocument, ShapeDocument,
-    SphereDocument, SunDocument, UniformAtmosphereDocument, WeatherDocument, WindDocument,
+    AnalyticAtmosphereDocument, AtmosphereDocument, BoxDocument, CirrusDocument, DensityDocument,
+    DraineDocument, GridDocument, HgDocument, HgDraineDocument, HomogeneousDocument, LayerDocument,
+    LightDocument, PhaseDocument, PlanetChoice, PlanetDocument, SCENE_VERSION, SceneDocument,
+    ShapeDocument, SphereDocument, SunDocument, UniformAtmosphereDocument, WeatherDocument,
+    WindDocument,
 };
+pub use family::{CloudForm, Family, WeatherPattern, WeatherProfile};
 pub use layer::CloudLayer;
 pub use light::{Light, PhaseFunction};
 pub use maps::{MapFiles, MapKind, MapsDocument};
@@ -112,6 +115,15 @@ impl Scene {
             .get(index)
             .and_then(CloudLayer::own_wind)
             .unwrap_or(self.wind)
+    }
+
+    /// Where layer `index` scatters light to: its own phase function or the scene's. The scene's, too, for a layer that
+    /// does not exist.
+    pub fn layer_phase(&self, index: usize) -> &PhaseFunction {
+        self.layers
+            .get(index)
+            .and_then(CloudLayer::own_phase)
+            .unwrap_or(self.light.phase())
     }
 
     /// Brightness of the picture in stops.

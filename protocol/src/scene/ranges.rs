@@ -50,6 +50,10 @@ pub const DETAIL_STRENGTH: NumberRange = NumberRange::new(0.0, 1.0);
 pub const EVOLUTION_M_PER_S: NumberRange = NumberRange::new(-50.0, 50.0);
 /// `transition_s` of maps: a day at most
 pub const TRANSITION_S: NumberRange = NumberRange::new(0.0, 86_400.0);
+/// `optical_depth` of a sheet of ice
+pub const SHEET_OPTICAL_DEPTH: NumberRange = NumberRange::new(0.0, 100.0);
+/// `fibre_period_m`
+pub const FIBRE_PERIOD_M: NumberRange = NumberRange::new(1.0e3, 1.0e6);
 /// `extinction_per_m`
 pub const EXTINCTION_PER_M: NumberRange = NumberRange::new(0.0, 1.0e3);
 /// `single_scattering_albedo`

@@ -25,14 +25,16 @@ fn the_default_document_is_pinned() {
         },
         "atmosphere": {"model": "analytic", "aerosol_optical_depth": 0.08},
         "layers": [{
-            "name": "low", "base_altitude_m": 1500.0, "top_altitude_m": 4000.0,
+            "family": null, "name": "low", "base_altitude_m": 1500.0, "top_altitude_m": 4000.0,
             "density": {
-                "model": "weather", "coverage": 0.45, "type": 0.7, "map_span_m": 40000.0,
-                "shape_period_m": 5000.0, "detail_period_m": 420.0, "detail_strength": 0.3,
-                "seed": 1, "evolution_m_per_s": 0.0,
+                "model": "weather", "profile": "low", "pattern": "puffs", "coverage": 0.45,
+                "type": 0.7, "map_span_m": 40000.0, "shape_period_m": 5000.0,
+                "detail_period_m": 420.0, "detail_strength": 0.22, "seed": 1,
+                "evolution_m_per_s": 0.0,
                 "maps": {"coverage": null, "type": null, "profile": null, "transition_s": 0.0}
             },
-            "extinction_per_m": 0.05, "single_scattering_albedo": 0.9999, "wind": null
+            "extinction_per_m": 0.05, "single_scattering_albedo": 0.9999, "phase": null,
+            "wind": null
         }],
         "light": {
             "phase": {"model": "hg-draine", "droplet_diameter_um": 20.0},
@@ -49,6 +51,55 @@ fn the_default_document_is_pinned() {
         serde_json::to_value(SceneDocument::default()).expect("serialises"),
         expected
     );
+}
+
+#[test]
+fn a_family_stands_for_what_its_layer_leaves_out() {
+    for family in Family::ALL {
+        let name = family.name();
+        let plain = Scene::from_json(&json!({"version": 1, "layers": [{"family": name}]}));
+        let plain = plain.expect("a family is a layer");
+        let layer = &plain.layers()[0];
+        assert_eq!((layer.family(), layer.name()), (Some(family), name));
+        // Written out and read again it is the same.
+        let written = serde_json::to_value(plain.to_document()).expect("serialises");
+        assert_eq!(Scene::from_json(&written), Ok(plain.clone()));
+        let changed = Scene::from_json(&json!({"version": 1, "layers": [
+            {"family": name, "density": {"coverage": 0.25}}]}));
+        let changed = changed.expect("a family's coverage can be set");
+        let (was, is) = (&plain.layers()[0], &changed.layers()[0]);
+        assert_eq!(is.base_altitude_m(), was.base_altitude_m());
+        match (was.density(), is.density()) {
+            (DensityModel::Weather(was), DensityModel::Weather(is)) => {
+                assert_eq!((is.coverage(), is.pattern()), (0.25, was.pattern()));
+                assert_eq!(is.map_span_m(), was.map_span_m());
+            }
+            (DensityModel::Cirrus(was), DensityModel::Cirrus(is)) => {
+                assert_eq!(
+                    (is.coverage(), is.optical_depth()),
+                    (0.25, was.optical_depth())
+                );
+                assert_eq!(changed.layer_phase(0), &PhaseFunction::Ice);
+            }
+            other => panic!("{name}: {other:?}"),
+        }
+    }
+    let error = error_of(json!({"version": 1, "layers": [{"family": "cumulos"}]}));
+    assert_eq!(error.pointer, "/layers/0/family");
+    let error = error_of(json!({"version": 1, "layers": [
+        {"family": "cirrus", "density": {"shape_period_m": 100}}]}));
+    assert!(error.allowed.contains("fibre_period_m"), "{error}");
+}
+
+#[test]
+fn a_sheet_spreads_its_optical_depth_over_its_thickness() {
+    let scene = Scene::from_json(&json!({"version": 1, "layers": [
+        {"family": "cirrus", "base_altitude_m": 9000, "top_altitude_m": 9400,
+         "density": {"optical_depth": 2}},
+        {"family": "cirrostratus", "base_altitude_m": 9000, "top_altitude_m": 9000}]}));
+    let scene = scene.expect("valid");
+    assert_eq!(scene.layers()[0].extinction_per_m(), 0.005);
+    assert!(scene.layers()[1].extinction_per_m().is_finite());
 }
 
 #[test]
@@ -247,6 +298,13 @@ fn density() -> impl Strategy<Value = DensityDocument> {
         any::<u32>(),
         in_range(ranges::EVOLUTION_M_PER_S),
         maps(),
+        prop_oneof![Just(WeatherProfile::Low), Just(WeatherProfile::High)],
+        prop_oneof![
+            Just(WeatherPattern::Puffs),
+            Just(WeatherPattern::Rolls),
+            Just(WeatherPattern::Ripples),
+            Just(WeatherPattern::Veils)
+        ],
     )
         .prop_map(
             |(
@@ -259,8 +317,12 @@ fn density() -> impl Strategy<Value = DensityDocument> {
                 seed,
                 evolution_m_per_s,
                 maps,
+                profile,
+                pattern,
             )| {
                 DensityDocument::Weather(WeatherDocument {
+                    profile,
+                    pattern,
                     coverage,
                     cloud_type,
                     map_span_m,
@@ -302,7 +364,37 @@ fn density() -> impl Strategy<Value = DensityDocument> {
                 ..GridDocument::default()
             })
         });
-    prop_oneof![weather, homogeneous, grid]
+    let cirrus = (
+        in_range(ranges::COVERAGE),
+        in_range(ranges::CLOUD_TYPE),
+        in_range(ranges::SHEET_OPTICAL_DEPTH),
+        in_range(ranges::MAP_SPAN_M),
+        in_range(ranges::FIBRE_PERIOD_M),
+        in_range(ranges::AZIMUTH_DEG),
+        any::<u32>(),
+    )
+        .prop_map(
+            |(
+                coverage,
+                cloud_type,
+                optical_depth,
+                map_span_m,
+                fibre_period_m,
+                fibres_towards_deg,
+                seed,
+            )| {
+                DensityDocument::Cirrus(CirrusDocument {
+                    coverage,
+                    cloud_type,
+                    optical_depth,
+                    map_span_m,
+                    fibre_period_m,
+                    fibres_towards_deg,
+                    seed,
+                })
+            },
+        );
+    prop_oneof![weather, homogeneous, grid, cirrus]
 }
 
 fn planet() -> impl Strategy<Value = PlanetChoice> {
@@ -377,9 +469,22 @@ fn layers() -> impl Strategy<Value = Vec<LayerDocument>> {
         in_range(ranges::EXTINCTION_PER_M),
         in_range(ranges::SINGLE_SCATTERING_ALBEDO),
         proptest::option::of(wind()),
+        proptest::option::of(proptest::sample::select(Family::ALL.to_vec())),
+        proptest::option::of(phase()),
     )
         .prop_map(
-            |(a_m, b_m, density, extinction_per_m, single_scattering_albedo, wind)| LayerDocument {
+            |(
+                a_m,
+                b_m,
+                density,
+                extinction_per_m,
+                single_scattering_albedo,
+                wind,
+                family,
+                phase,
+            )| LayerDocument {
+                family,
+                phase,
                 name: String::new(),
                 base_altitude_m: a_m.min(b_m),
                 top_altitude_m: a_m.max(b_m),
@@ -399,6 +504,7 @@ fn layers() -> impl Strategy<Value = Vec<LayerDocument>> {
 
 fn phase() -> impl Strategy<Value = PhaseDocument> {
     prop_oneof![
+        Just(PhaseDocument::Ice),
         in_range(ranges::DROPLET_DIAMETER_UM).prop_map(|droplet_diameter_um| {
             PhaseDocument::HgDraine(HgDraineDocument {
                 droplet_diameter_um,

@@ -51,6 +51,17 @@ impl WeatherMaps {
     }
 }
 
+/// Maps of one thin sheet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SheetMaps {
+    /// Patches before the layer's coverage; repeat after its map span.
+    pub patches: TexelMap,
+    /// Fibres; repeat after the fibres' period.
+    pub fibres: TexelMap,
+    /// The veil; repeats as the fibres do.
+    pub veil: TexelMap,
+}
+
 /// What one layer of the scene reads.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum LayerField {
@@ -59,6 +70,8 @@ pub enum LayerField {
     Nothing,
     /// Weather maps.
     Weather(WeatherMaps),
+    /// Maps of a thin sheet.
+    Sheet(SheetMaps),
     /// Voxels, x fastest, then altitude, then z.
     Grid(Vec<f32>),
 }

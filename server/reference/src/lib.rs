@@ -28,7 +28,7 @@ pub mod transport;
 mod world;
 
 pub use error::ReferenceError;
-pub use field::{Field, LayerField, Noise, WeatherMaps};
+pub use field::{Field, LayerField, Noise, SheetMaps, WeatherMaps};
 pub use ray::Ray;
 pub use result::{LayerGathered, RayResult, StandardErrors};
 pub use texture::{ByteVolume, TexelMap};

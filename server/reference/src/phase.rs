@@ -74,6 +74,11 @@ impl Phase {
     pub fn of(function: &PhaseFunction) -> Self {
         let [g_hg, g_draine, alpha, draine_weight] = match *function {
             PhaseFunction::Isotropic => [0.0; 4],
+            // Two Henyey-Greenstein lobes: Draine's with alpha 0 is one.
+            PhaseFunction::Ice => {
+                let [narrow, broad, share] = PhaseFunction::ICE_LOBES;
+                [narrow, broad, 0.0, share]
+            }
             PhaseFunction::Hg { g } => [g, 0.0, 0.0, 0.0],
             PhaseFunction::Draine { g, alpha } => [0.0, g, alpha, 1.0],
             PhaseFunction::HgDraine {

@@ -3,13 +3,14 @@
 use crate::density::grid::Grid;
 use crate::density::profile::mean_height_fraction;
 use crate::density::shape::{self, Parts};
+use crate::density::sheet::Sheet;
 use crate::density::weather::{FieldPlace, Weather};
 use crate::error::checked;
 use crate::path::majorant::{Majorant, Majorants};
 use crate::phase::Phase;
 use crate::shell::{Globe, Interval};
 use crate::sky::SkyLight;
-use crate::{Field, LayerField, Noise, Ray, ReferenceError, WeatherMaps};
+use crate::{Field, LayerField, Noise, Ray, ReferenceError, SheetMaps, WeatherMaps};
 use glam::{DVec2, DVec3};
 use serde::Serialize;
 use skycell_protocol::Scene;
@@ -72,6 +73,8 @@ pub enum Medium {
     },
     /// Voxels.
     Grid(Grid),
+    /// A thin sheet of ice.
+    Sheet(Sheet),
 }
 
 /// A layer that can show something.
@@ -93,6 +96,8 @@ pub struct WorldLayer {
     pub proxy_altitude_m: f64,
     /// Mean extinction of the air between the ground and the proxy sphere, 1/m.
     pub air_extinction_per_m: DVec3,
+    /// Where its droplets or crystals scatter light to.
+    pub phase: Phase,
     /// What fills it.
     pub medium: Medium,
 }
@@ -128,6 +133,7 @@ pub struct World {
 fn shows(layer: &skycell_protocol::scene::CloudLayer) -> bool {
     let covers = match layer.density() {
         DensityModel::Weather(weather) => weather.coverage() > 0.0,
+        DensityModel::Cirrus(cirrus) => cirrus.coverage() > 0.0,
         DensityModel::Homogeneous(_) | DensityModel::Grid(_) => true,
     };
     covers && layer.extinction_per_m() > 0.0 && layer.top_altitude_m() > layer.base_altitude_m()
@@ -184,10 +190,15 @@ impl World {
                     radius_m: *radius_m,
                 },
                 DensityModel::Grid(grid) => Medium::Grid(Grid::new(grid)),
+                DensityModel::Cirrus(cirrus) => Medium::Sheet(Sheet::new(cirrus)),
             };
             let height_fraction = match layer.density() {
-                DensityModel::Weather(weather) => mean_height_fraction(weather.cloud_type()),
-                DensityModel::Homogeneous(_) | DensityModel::Grid(_) => 0.5,
+                DensityModel::Weather(weather) => {
+                    mean_height_fraction(weather.profile(), weather.cloud_type())
+                }
+                DensityModel::Homogeneous(_) | DensityModel::Grid(_) | DensityModel::Cirrus(_) => {
+                    0.5
+                }
             };
             let drift_m = scene.layer_wind(scene_index).velocity_m_per_s() * settings.time_s;
             layers.push(WorldLayer {
@@ -201,6 +212,7 @@ impl World {
                 proxy_altitude_m: layer.base_altitude_m()
                     + height_fraction * (layer.top_altitude_m() - layer.base_altitude_m()),
                 air_extinction_per_m: DVec3::ZERO,
+                phase: Phase::of(scene.layer_phase(scene_index)),
                 medium,
             });
         }
@@ -234,7 +246,7 @@ impl World {
         &self.light
     }
 
-    /// The droplets' phase function.
+    /// The scene's phase function, which layers have that have none of their own.
     #[must_use]
     pub fn phase(&self) -> &Phase {
         &self.phase
@@ -269,6 +281,23 @@ impl World {
             Some(LayerField::Weather(maps)) => Some(maps),
             _ => None,
         }
+    }
+
+    /// The maps of a thin sheet.
+    pub(crate) fn sheet_maps(&self, layer: &WorldLayer) -> Option<&SheetMaps> {
+        match self.field.layers.get(layer.scene_index) {
+            Some(LayerField::Sheet(maps)) => Some(maps),
+            _ => None,
+        }
+    }
+
+    /// Whether two layers share altitudes.
+    #[must_use]
+    pub fn layers_overlap(&self) -> bool {
+        let overlap = |a: &WorldLayer, b: &WorldLayer| {
+            a.base_altitude_m < b.top_altitude_m && b.base_altitude_m < a.top_altitude_m
+        };
+        (0..self.layers.len()).any(|i| (0..i).any(|j| overlap(&self.layers[i], &self.layers[j])))
     }
 
     /// The voxels of a grid layer; none for others.
@@ -384,6 +413,9 @@ impl World {
                 inside((at - *center_m).length_squared() <= radius_m * radius_m)
             }
             Medium::Grid(grid) => grid.density(self.voxels(layer), place),
+            Medium::Sheet(sheet) => self
+                .sheet_maps(layer)
+                .map_or(0.0, |maps| sheet.density(maps, place)),
         }
     }
 
@@ -406,7 +438,9 @@ impl World {
             )
         };
         match &layer.medium {
-            Medium::Weather(_) | Medium::Full => self.globe.layer_intervals(base_m, top_m, ray),
+            Medium::Weather(_) | Medium::Full | Medium::Sheet(_) => {
+                self.globe.layer_intervals(base_m, top_m, ray)
+            }
             Medium::Box { min_m, max_m } => in_box(*min_m, *max_m),
             Medium::Grid(grid) => in_box(grid.min_m, grid.max_m),
             Medium::Ball { center_m, radius_m } => {
@@ -457,6 +491,13 @@ fn check_data(layer: usize, density: &DensityModel, field: &Field) -> Result<(),
                 }),
             }
         }
+        DensityModel::Cirrus(_) => match data {
+            Some(LayerField::Sheet(_)) => Ok(()),
+            _ => Err(ReferenceError::Missing {
+                layer,
+                what: "maps of a sheet",
+            }),
+        },
         DensityModel::Grid(grid) => {
             let Some(LayerField::Grid(voxels)) = data else {
                 return Err(ReferenceError::Missing {

@@ -7,7 +7,7 @@ pub use inspect::{InspectionInputs, Inspections, inspect_key, shown_key, shown_o
 use crate::cache::ViewFrustum;
 use crate::config::FrameFilter;
 use crate::gpu::{Gpu, PipelineKey, Pipelines, TimedPass, TimingRing};
-use crate::march::CellFrame;
+use crate::march::{CellFrame, LayerBlend};
 use glam::DVec3;
 use skycell_protocol::scene::ToneCurve;
 use skycell_protocol::{Camera, FrameSize, Scene};
@@ -31,7 +31,7 @@ pub fn with_shared_background(key: PipelineKey) -> PipelineKey {
 pub fn composite_key(
     scene: &Scene,
     filter: FrameFilter,
-    layers: usize,
+    blend: LayerBlend,
     screen_space: bool,
     linear_output: bool,
 ) -> PipelineKey {
@@ -39,7 +39,9 @@ pub fn composite_key(
         kernel: Kernel::Composite,
         features: Features {
             octave_vectors: 1,
-            layers: layers as u32,
+            layers: blend.layers as u32,
+            own_phases: blend.own_phases,
+            overlap: blend.overlap,
             density: Density::Homogeneous,
             catmull_rom: !screen_space && filter == FrameFilter::CatmullRom,
             linear_output,
@@ -99,6 +101,8 @@ pub fn ground_key(key: PipelineKey) -> PipelineKey {
     PipelineKey {
         features: Features {
             layers: 0,
+            own_phases: false,
+            overlap: false,
             catmull_rom: false,
             upsample: false,
             ..key.features

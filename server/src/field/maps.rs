@@ -2,8 +2,9 @@
 //! the nearest possible cloud, which lets a ray cross clear sky in one step.
 
 use super::layer_maps::MapFormat;
-use super::noise::{billow, octaves, perlin};
+use super::patterns::{cloud_type, coverage};
 use rayon::prelude::*;
+use skycell_protocol::scene::WeatherPattern;
 
 /// Texels along a map.
 pub const MAP_SIZE: u32 = 1024;
@@ -26,7 +27,7 @@ pub struct WeatherMaps {
 impl WeatherMaps {
     /// Makes both maps; `progress` is called per finished row, from any thread.
     #[must_use]
-    pub fn generate(seed: u32, progress: impl Fn() + Sync) -> Self {
+    pub fn generate(pattern: WeatherPattern, seed: u32, progress: impl Fn() + Sync) -> Self {
         let rows: Vec<Vec<[f32; 2]>> = (0..MAP_SIZE)
             .into_par_iter()
             .map(|row| {
@@ -37,7 +38,7 @@ impl WeatherMaps {
                             (row as f32 + 0.5) / MAP_SIZE as f32,
                             0.25,
                         ];
-                        [coverage(at, seed), cloud_type(at, seed)]
+                        [coverage(pattern, at, seed), cloud_type(at, seed)]
                     })
                     .collect();
                 progress();
@@ -52,20 +53,8 @@ impl WeatherMaps {
     }
 }
 
-/// Cells of clouds in several sizes, gathered by broad gradient noise.
-fn coverage(at: [f32; 3], seed: u32) -> f32 {
-    let cells = octaves(billow, at, 12, 3, 0.5, seed);
-    let gathering = octaves(perlin, at, 3, 4, 0.55, seed ^ 0x77);
-    cells + 0.55 * gathering
-}
-
-/// Product of two cell sizes: few places are tall.
-fn cloud_type(at: [f32; 3], seed: u32) -> f32 {
-    billow(at.map(|v| v * 7.0), 7, seed ^ 0x3131) * billow(at.map(|v| v * 16.0), 16, seed ^ 0x1313)
-}
-
 /// Replaces each value by its rank, so that a threshold is a share of the area.
-fn equalise(values: &[f32]) -> Vec<u8> {
+pub(super) fn equalise(values: &[f32]) -> Vec<u8> {
     let mut order: Vec<u32> = (0..values.len() as u32).collect();
     order.sort_unstable_by(|a, b| values[*a as usize].total_cmp(&values[*b as usize]));
     let mut ranks = vec![0u8; values.len()];
@@ -219,7 +208,7 @@ mod tests {
 
     #[test]
     fn a_threshold_on_coverage_is_a_share_of_the_area() {
-        let maps = WeatherMaps::generate(3, || {});
+        let maps = WeatherMaps::generate(WeatherPattern::Puffs, 3, || {});
         let below = maps.coverage.iter().filter(|c| **c < 64).count();
         let share = below as f64 / maps.coverage.len() as f64;
         assert!((share - 0.25).abs() < 0.005, "{share}");

@@ -6,8 +6,10 @@ mod layer_maps;
 mod map_file;
 mod maps;
 mod noise;
+mod patterns;
 mod profile;
 mod resample;
+mod sheet;
 mod store;
 mod volumes;
 
@@ -19,5 +21,6 @@ pub use map_file::{
 };
 pub use maps::{MAP_SIZE, SKIP_RANGE_SHARE, WeatherMaps, skip_coverage, skip_distances};
 pub use profile::{PROFILE_SIZE, mean_height_fraction, profile_texels, vertical_profile};
+pub use sheet::SheetMaps;
 pub use store::FieldStore;
 pub use volumes::{NoiseVolume, VolumeKind};

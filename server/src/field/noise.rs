@@ -29,18 +29,34 @@ fn split(value: f32) -> (i32, f32) {
     (floor as i32, value - floor)
 }
 
-fn wrapped_hash(cell: [i32; 3], period: i32, seed: u32) -> [u32; 3] {
-    let wrap = |v: i32| v.rem_euclid(period) as u32;
+/// Lattice cells after which noise repeats, along each axis.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Period([i32; 3]);
+
+impl From<u32> for Period {
+    fn from(cells: u32) -> Self {
+        Self([cells as i32; 3])
+    }
+}
+
+impl From<[u32; 3]> for Period {
+    fn from(cells: [u32; 3]) -> Self {
+        Self(cells.map(|n| n as i32))
+    }
+}
+
+fn wrapped_hash(cell: [i32; 3], Period(period): Period, seed: u32) -> [u32; 3] {
+    let wrap = |axis: usize| cell[axis].rem_euclid(period[axis]) as u32;
     hash(
-        wrap(cell[0]).wrapping_add(seed.wrapping_mul(0x9e37_79b9)),
-        wrap(cell[1]),
-        wrap(cell[2]),
+        wrap(0).wrapping_add(seed.wrapping_mul(0x9e37_79b9)),
+        wrap(1),
+        wrap(2),
     )
 }
 
 /// Gradient noise, about −1…1, mean 0.
-pub(super) fn perlin(position: [f32; 3], period: u32, seed: u32) -> f32 {
-    let period = period as i32;
+pub(super) fn perlin(position: [f32; 3], period: impl Into<Period>, seed: u32) -> f32 {
+    let period = period.into();
     let ([x0, y0, z0], [fx, fy, fz]) = {
         let (x, fx) = split(position[0]);
         let (y, fy) = split(position[1]);
@@ -80,7 +96,8 @@ pub(super) fn perlin(position: [f32; 3], period: u32, seed: u32) -> f32 {
 }
 
 /// Distance to the nearest feature point, in cells; at most about 1.3.
-pub(super) fn worley(position: [f32; 3], period: u32, seed: u32) -> f32 {
+pub(super) fn worley(position: [f32; 3], period: impl Into<Period>, seed: u32) -> f32 {
+    let period = period.into();
     let (x0, fx) = split(position[0]);
     let (y0, fy) = split(position[1]);
     let (z0, fz) = split(position[2]);
@@ -88,7 +105,7 @@ pub(super) fn worley(position: [f32; 3], period: u32, seed: u32) -> f32 {
     for dz in -1..=1 {
         for dy in -1..=1 {
             for dx in -1..=1 {
-                let [a, b, c] = wrapped_hash([x0 + dx, y0 + dy, z0 + dz], period as i32, seed);
+                let [a, b, c] = wrapped_hash([x0 + dx, y0 + dy, z0 + dz], period, seed);
                 let x = dx as f32 + unit(a) - fx;
                 let y = dy as f32 + unit(b) - fy;
                 let z = dz as f32 + unit(c) - fz;
@@ -100,7 +117,7 @@ pub(super) fn worley(position: [f32; 3], period: u32, seed: u32) -> f32 {
 }
 
 /// Cellular noise that bulges: 1 at feature points, towards 0 between them.
-pub(super) fn billow(position: [f32; 3], period: u32, seed: u32) -> f32 {
+pub(super) fn billow(position: [f32; 3], period: impl Into<Period>, seed: u32) -> f32 {
     1.0 - worley(position, period, seed).min(1.0)
 }
 
@@ -137,6 +154,9 @@ mod tests {
             let there = [here[0] + 4.0, here[1] - 4.0, here[2] + 8.0];
             assert!((perlin(here, 4, 7) - perlin(there, 4, 7)).abs() < 1e-4);
             assert!((worley(here, 4, 7) - worley(there, 4, 7)).abs() < 1e-4);
+            let (uneven, there) = ([3, 5, 2], [here[0] + 3.0, here[1] - 5.0, here[2] + 2.0]);
+            assert!((perlin(here, uneven, 7) - perlin(there, uneven, 7)).abs() < 1e-4);
+            assert!((worley(here, uneven, 7) - worley(there, uneven, 7)).abs() < 1e-4);
         }
     }
 

@@ -1,5 +1,7 @@
 //! The vertical profile v(t, h): how much of its coverage a cloud of type t keeps at height fraction h of its layer.
 
+use skycell_protocol::scene::WeatherProfile;
+
 /// Texels along the height and the type.
 pub const PROFILE_SIZE: [u32; 2] = [128, 64];
 
@@ -8,16 +10,34 @@ const BASE_RISE: f64 = 0.045;
 /// Height fraction of the top of the flattest clouds.
 const STRATUS_TOP: f64 = 0.14;
 
-/// v(t, h) for t and h in 0…1; from stratus to cumulus the top rises with the square root of the type (P. Ford 2024,
-/// 4.2.1). Zero at both ends of the layer.
+/// v(t, h) for t and h in 0…1. Zero at both ends of the layer.
+///
+/// Low: from stratus to cumulus the top rises with the square root of the type (P. Ford 2024, 4.2.1); towers stand in a
+/// narrower column under an anvil. High: from a veil as thick as the layer to lenses. Shapes are tuned by eye.
 #[must_use]
-pub fn vertical_profile(cloud_type: f64, height_fraction: f64) -> f64 {
-    let top = STRATUS_TOP + (1.0 - STRATUS_TOP) * cloud_type.sqrt();
-    let rise = smoothstep(0.0, BASE_RISE, height_fraction);
-    // A dome: narrows slowly at first, then closes.
-    let along = (height_fraction / top).clamp(0.0, 1.0);
-    let dome = (1.0 - along.powf(1.6)).max(0.0);
-    rise * dome
+pub fn vertical_profile(profile: WeatherProfile, cloud_type: f64, height_fraction: f64) -> f64 {
+    let h = height_fraction;
+    match profile {
+        WeatherProfile::Low => {
+            let top = STRATUS_TOP + (1.0 - STRATUS_TOP) * cloud_type.sqrt();
+            let rise = smoothstep(0.0, BASE_RISE, h);
+            // A dome: narrows slowly at first, then closes.
+            let heap = 1.0 - (h / top).clamp(0.0, 1.0).powi(6);
+            let column = 1.0 - 0.4 * smoothstep(0.2, 0.6, h);
+            let anvil = smoothstep(0.66, 0.82, h);
+            let tower = (column + (1.0 - column) * anvil) * (1.0 - smoothstep(0.9, 1.0, h));
+            rise * mix(heap, tower, smoothstep(0.68, 0.82, cloud_type))
+        }
+        WeatherProfile::High => {
+            let veil = smoothstep(0.0, 0.3, h) * (1.0 - smoothstep(0.6, 1.0, h));
+            let lens = smoothstep(0.0, 0.35, h) * (1.0 - smoothstep(0.35, 1.0, h));
+            mix(veil, lens, cloud_type)
+        }
+    }
+}
+
+fn mix(a: f64, b: f64, share: f64) -> f64 {
+    a + (b - a) * share
 }
 
 fn smoothstep(from: f64, to: f64, at: f64) -> f64 {
@@ -25,16 +45,16 @@ fn smoothstep(from: f64, to: f64, at: f64) -> f64 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// The profile as a map of bytes: height along a row, type down the rows, the first and last texel at 0 and 1.
+/// A profile as a map of bytes: height along a row, type down the rows.
 #[must_use]
-pub fn profile_texels() -> Vec<u8> {
+pub fn profile_texels(profile: WeatherProfile) -> Vec<u8> {
     let [heights, types] = PROFILE_SIZE;
     let mut texels = Vec::with_capacity((heights * types) as usize);
     for t in 0..types {
         for h in 0..heights {
             let cloud_type = (f64::from(t) + 0.5) / f64::from(types);
             let height = (f64::from(h) + 0.5) / f64::from(heights);
-            let value = vertical_profile(cloud_type, height);
+            let value = vertical_profile(profile, cloud_type, height);
             texels.push((value * 255.0).round() as u8);
         }
     }
@@ -43,12 +63,12 @@ pub fn profile_texels() -> Vec<u8> {
 
 /// Height fraction that stands for the whole layer: the profile's mean, where the proxy sphere has the smallest error.
 #[must_use]
-pub fn mean_height_fraction(cloud_type: f64) -> f64 {
+pub fn mean_height_fraction(profile: WeatherProfile, cloud_type: f64) -> f64 {
     const STEPS: u32 = 256;
     let (mut weighted, mut sum) = (0.0, 0.0);
     for i in 0..STEPS {
         let h = (f64::from(i) + 0.5) / f64::from(STEPS);
-        let v = vertical_profile(cloud_type, h);
+        let v = vertical_profile(profile, cloud_type, h);
         weighted += h * v;
         sum += v;
     }
@@ -61,20 +81,30 @@ mod tests {
 
     #[test]
     fn every_type_is_empty_at_both_ends_and_full_somewhere() {
-        for t in 0..=10 {
-            let t = f64::from(t) / 10.0;
-            assert!(vertical_profile(t, 0.0) == 0.0);
-            assert!(vertical_profile(t, 1.0) < 1e-9);
-            let peak = (0..100)
-                .map(|h| vertical_profile(t, f64::from(h) / 100.0))
-                .fold(0.0, f64::max);
-            assert!(peak > 0.7, "type {t}: {peak}");
+        for profile in [WeatherProfile::Low, WeatherProfile::High] {
+            for t in 0..=20 {
+                let t = f64::from(t) / 20.0;
+                assert!(vertical_profile(profile, t, 0.0) == 0.0);
+                assert!(vertical_profile(profile, t, 1.0) < 1e-9);
+                let values = (0..100).map(|h| vertical_profile(profile, t, f64::from(h) / 100.0));
+                let peak = values.fold(0.0, f64::max);
+                assert!(peak > 0.7 && peak <= 1.0, "type {t}: {peak}");
+            }
         }
     }
 
     #[test]
-    fn taller_types_stand_higher() {
-        assert!(mean_height_fraction(0.0) < mean_height_fraction(0.5));
-        assert!(mean_height_fraction(0.5) < mean_height_fraction(1.0));
+    fn taller_types_stand_higher_up_to_cumulus() {
+        let mean = |t: f64| mean_height_fraction(WeatherProfile::Low, t);
+        assert!(mean(0.0) < mean(0.33));
+        assert!(mean(0.33) < mean(0.67));
+    }
+
+    #[test]
+    fn an_anvil_overhangs_its_tower() {
+        let tower = |h: f64| vertical_profile(WeatherProfile::Low, 1.0, h);
+        assert!(tower(0.86) > tower(0.6) + 0.2);
+        let heap = |h: f64| vertical_profile(WeatherProfile::Low, 0.6, h);
+        assert!(heap(0.7) < heap(0.5));
     }
 }

@@ -5,16 +5,17 @@ use super::map_file::{GreyMap, MapFileError, read_map_file};
 use super::maps::{MAP_SIZE, WeatherMaps};
 use super::profile::{PROFILE_SIZE, profile_texels};
 use super::resample::device_texels;
+use super::sheet::SheetMaps;
 use super::volumes::{NoiseVolume, VolumeKind};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use skycell_protocol::scene::{MapKind, WeatherDensity};
+use skycell_protocol::scene::{MapKind, WeatherDensity, WeatherPattern};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
 /// Changes with the formulas of this module's noise: old files are then no longer found.
-const GENERATOR_VERSION: u32 = 4;
+const GENERATOR_VERSION: u32 = 5;
 
 /// Changes with how maps from files are brought to the device's size.
 const RESAMPLER_VERSION: u32 = 1;
@@ -50,11 +51,14 @@ impl FieldStore {
 
     /// Coverage and type maps.
     #[must_use]
-    pub fn weather_maps(&self, seed: u32) -> WeatherMaps {
+    pub fn weather_maps(&self, pattern: WeatherPattern, seed: u32) -> WeatherMaps {
         let texels = (MAP_SIZE as usize).pow(2);
-        let key = format!("maps-{MAP_SIZE}-seed{seed}-v{GENERATOR_VERSION}");
+        let key = format!(
+            "maps-{}-{MAP_SIZE}-seed{seed}-v{GENERATOR_VERSION}",
+            pattern.name()
+        );
         let both = self.load_or_make(&key, 2 * texels, u64::from(MAP_SIZE), |bar| {
-            let maps = WeatherMaps::generate(seed, || bar.inc(1));
+            let maps = WeatherMaps::generate(pattern, seed, || bar.inc(1));
             [maps.coverage, maps.cloud_type].concat()
         });
         let (coverage, cloud_type) = both.split_at(texels);
@@ -116,11 +120,11 @@ impl FieldStore {
     #[must_use]
     pub fn generated_maps(&self, weather: &WeatherDensity) -> LayerMaps {
         let wide = |bytes: &[u8]| bytes.iter().map(|byte| u16::from(*byte) * 257).collect();
-        let made = self.weather_maps(weather.seed());
+        let made = self.weather_maps(weather.pattern(), weather.seed());
         LayerMaps {
             coverage: wide(&made.coverage),
             cloud_type: wide(&made.cloud_type),
-            profile: wide(&profile_texels()),
+            profile: wide(&profile_texels(weather.profile())),
         }
     }
 
@@ -155,6 +159,22 @@ impl FieldStore {
             }
         }
         Ok(maps)
+    }
+
+    /// Maps of a thin sheet.
+    #[must_use]
+    pub fn sheet_maps(&self, seed: u32) -> SheetMaps {
+        let texels = (MAP_SIZE as usize).pow(2);
+        let key = format!("sheet-{MAP_SIZE}-seed{seed}-v{GENERATOR_VERSION}");
+        let all = self.load_or_make(&key, 3 * texels, 5 * u64::from(MAP_SIZE), |bar| {
+            let maps = SheetMaps::generate(seed, || bar.inc(1));
+            [maps.patches, maps.fibres, maps.veil].concat()
+        });
+        SheetMaps {
+            patches: all[..texels].to_vec(),
+            fibres: all[texels..2 * texels].to_vec(),
+            veil: all[2 * texels..].to_vec(),
+        }
     }
 
     fn load_or_make(

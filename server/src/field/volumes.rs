@@ -45,10 +45,11 @@ impl VolumeKind {
         match self {
             Self::Shape => {
                 let body = 0.5 + 0.5 * octaves(perlin, at, 3, 4, 0.5, seed);
-                let bulges = octaves(billow, at, 6, 4, 0.62, seed ^ 0x55);
+                let bulges = octaves(billow, at, 6, 4, 0.42, seed ^ 0x55);
                 let wisps = 0.5 + 0.5 * octaves(perlin, at, 4, 5, 0.6, seed ^ 0xaa);
-                // Gradient noise decides where bodies are, cellular noise rounds their outline.
-                [0.45 * body + 0.55 * bulges, 0.6 * wisps + 0.4 * bulges]
+                // Gradient noise decides where bodies are, cellular noise rounds their outline. Its octaves fall faster than
+                // their frequency rises: noise that is steeper than the profile would leave crumbs above the clouds.
+                [0.4 * body + 0.6 * bulges, 0.6 * wisps + 0.4 * bulges]
             }
             Self::Detail => {
                 let bulges = octaves(billow, at, 2, 3, 0.5, seed ^ 0x1234);

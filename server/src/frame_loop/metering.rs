@@ -11,7 +11,7 @@ use crate::composite::{
 };
 use crate::config::FrameFilter;
 use crate::gpu::{Gpu, GpuError, PipelineKey, Pipelines, ReadbackRing};
-use crate::march::EXPOSURE_AT_ZERO_EV;
+use crate::march::{EXPOSURE_AT_ZERO_EV, LayerBlend};
 use skycell_protocol::scene::AutoExposure;
 use skycell_protocol::{Camera, CellId, FrameSize, RendererKind};
 use std::sync::Arc;
@@ -147,8 +147,8 @@ fn mean_log2(texels: &[f32]) -> f64 {
 impl SkyRenderer {
     /// The composite that meters: linear, of the cache.
     fn meter_key(&self) -> PipelineKey {
-        let layers = self.active.len();
-        composite_key(&self.scene, FrameFilter::Bilinear, layers, false, true)
+        let blend = LayerBlend::of(&self.scene, &self.active);
+        composite_key(&self.scene, FrameFilter::Bilinear, blend, false, true)
     }
 
     /// Makes what metering needs, where the scene asks for it.

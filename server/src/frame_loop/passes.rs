@@ -8,7 +8,7 @@ use crate::clock::unix_now_us;
 use crate::composite::{CompositeInputs, Picture, shown_key};
 use crate::gpu::{GpuError, PipelineKey, TimedPass};
 use crate::march::{
-    ActiveLayer, BATCH_TILES_MAX, MarchedPixels, PixelStrip, TexelGroup, layer_features,
+    ActiveLayer, BATCH_TILES_MAX, LayerBlend, MarchedPixels, PixelStrip, TexelGroup, layer_features,
 };
 use glam::DVec3;
 use skycell_protocol::{CellId, FrameSequence, RendererKind, Scene, ViewerId};
@@ -237,8 +237,8 @@ impl SkyRenderer {
             cell.buffers.field_group().clone(),
         );
         let filter = viewer.quality.settings.frame_filter;
-        let layer_count = self.active.len();
-        let plain = frame_key(&self.gpu, &self.scene, filter, layer_count, screen_space);
+        let blend = LayerBlend::of(&self.scene, &self.active);
+        let plain = frame_key(&self.gpu, &self.scene, filter, blend, screen_space);
         let inputs = CompositeInputs {
             key: shown_key(plain, shown),
             scene: &scene,

@@ -16,8 +16,9 @@ use crate::gpu::{
     blend_key,
 };
 use crate::march::{
-    ActiveLayer, Atlas, MarchSettings, SkyLight, TexelMarch, active_layers, audit_key,
-    drift_m_per_s, layer_features, pixels_key, placed_weather, sky_light, texels_key,
+    ActiveLayer, Atlas, LayerBlend, MarchSettings, SkyLight, TexelMarch, active_layers, audit_key,
+    drift_m_per_s, layer_features, pixels_key, placed_sheets, placed_weather, sky_light,
+    texels_key,
 };
 use glam::DVec3;
 use skycell_protocol::scene::CloudLayer;
@@ -131,10 +132,11 @@ impl SkyRenderer {
     /// ages every texel; what changes where layers are starts their caches anew.
     pub(super) fn set_scene(&mut self, scene: Arc<Scene>, revision: u64) -> Result<(), GpuError> {
         let active = active_layers(&scene);
+        let blend = LayerBlend::of(&scene, &active);
         let mut keys = Vec::new();
         for filter in FrameFilter::ALL {
             for screen_space in [false, true] {
-                let key = frame_key(&self.gpu, &scene, filter, active.len(), screen_space);
+                let key = frame_key(&self.gpu, &scene, filter, blend, screen_space);
                 keys.extend([key, ground_key(key)]);
             }
         }
@@ -161,13 +163,14 @@ impl SkyRenderer {
             }
         }
         let maps = placed_weather(&scene, &active);
+        let sheets = placed_sheets(&scene, &active);
         if maps.iter().any(|m| m.weather.maps().transition_s() > 0.0) {
             self.pipelines.prepare(&self.gpu, blend_key())?;
         }
         let layout = &self.pipelines.field_layout;
-        let maps_change = self
-            .field
-            .set_maps(&self.gpu, layout, &maps, &self.config.maps_dir);
+        let maps_change =
+            self.field
+                .set_maps(&self.gpu, layout, &maps, &sheets, &self.config.maps_dir);
         if maps_change.textures {
             for cell in self.active_cells.values_mut() {
                 cell.buffers.set_field_group(&self.field.bind_group);
@@ -237,13 +240,8 @@ impl SkyRenderer {
             self.refresh_cells();
             let screen_space = renderer == RendererKind::ScreenSpace;
             for filter in FrameFilter::ALL {
-                let key = frame_key(
-                    &self.gpu,
-                    &self.scene,
-                    filter,
-                    self.active.len(),
-                    screen_space,
-                );
+                let blend = LayerBlend::of(&self.scene, &self.active);
+                let key = frame_key(&self.gpu, &self.scene, filter, blend, screen_space);
                 let picture = Picture::new(&self.gpu, &self.pipelines, size, false);
                 self.composite_still(viewer, &picture, key, None)?;
             }
@@ -323,10 +321,10 @@ pub(super) fn frame_key(
     gpu: &Gpu,
     scene: &Scene,
     filter: FrameFilter,
-    layers: usize,
+    blend: LayerBlend,
     screen_space: bool,
 ) -> PipelineKey {
-    let key = composite_key(scene, filter, layers, screen_space, false);
+    let key = composite_key(scene, filter, blend, screen_space, false);
     if gpu.is_software() {
         with_shared_background(key)
     } else {

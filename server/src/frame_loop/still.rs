@@ -10,7 +10,7 @@ use crate::composite::{Picture, composite_key, ground_key, shown_of};
 use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{DeviceInventory, Gpu, GpuError, PipelineKey, TimedPass};
 use crate::gpu::{read_buffer_blocking, reads_of};
-use crate::march::{LISTED_VALUES, MarchedPixels, layer_features, pixels_key};
+use crate::march::{LISTED_VALUES, LayerBlend, MarchedPixels, layer_features, pixels_key};
 use glam::DVec3;
 use skycell_protocol::{Camera, Codec, FrameSize, RendererKind, Scene, ViewerId};
 use skycell_shaders::{Features, Shown, layout};
@@ -289,11 +289,11 @@ impl StillRenderer {
     ) -> [PipelineKey; 2] {
         let shown = shown_of(settings.show);
         [false, true].map(|linear| {
-            let layers = self.renderer.active.len();
+            let blend = LayerBlend::of(&self.renderer.scene, &self.renderer.active);
             let key = composite_key(
                 &self.renderer.scene,
                 settings.filter,
-                layers,
+                blend,
                 screen_space,
                 linear,
             );

@@ -8,7 +8,7 @@ use crate::composite::{
     shown_of,
 };
 use crate::gpu::PipelineKey;
-use crate::march::layer_features;
+use crate::march::{LayerBlend, layer_features};
 use skycell_protocol::{RendererKind, Show, ViewerId};
 use skycell_shaders::Shown;
 
@@ -45,7 +45,7 @@ impl SkyRenderer {
             &self.gpu,
             &self.scene,
             filter,
-            self.active.len(),
+            LayerBlend::of(&self.scene, &self.active),
             screen_space,
         );
         self.shown_keys(shown, composite)

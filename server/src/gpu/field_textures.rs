@@ -1,6 +1,8 @@
 //! The cloud field on the device.
 
-use super::map_textures::{BlendStep, MapTextures, MapsChange, PlacedWeather, blend_key};
+use super::map_textures::{
+    BlendStep, MapTextures, MapsChange, PlacedSheet, PlacedWeather, blend_key,
+};
 use super::pipelines::Pipelines;
 use super::{Gpu, GpuError};
 use crate::field::{FieldStore, VolumeKind, VoxelGrid, load_grid};
@@ -195,16 +197,18 @@ impl FieldTextures {
         &self.store
     }
 
-    /// Puts the maps of weather layers where they are wanted; files are looked for in a folder. The bind group is a new
-    /// one when the change says that the textures are.
+    /// Puts the maps of weather layers and sheets where they are wanted; files are looked for in a folder. The bind group
+    /// is a new one when the change says that the textures are.
     pub fn set_maps(
         &mut self,
         gpu: &Gpu,
         layout: &wgpu::BindGroupLayout,
         wanted: &[PlacedWeather<'_>],
+        sheets: &[PlacedSheet],
         folder: &Path,
     ) -> MapsChange {
-        let change = self.maps.set(gpu, &self.store, folder, wanted);
+        let mut change = self.maps.set(gpu, &self.store, folder, wanted);
+        change.content |= self.maps.set_sheets(gpu, &self.store, sheets, change);
         if change.textures {
             self.bind_group = self.fixed.bind_group(gpu, layout, &self.maps, &self.grids);
         }

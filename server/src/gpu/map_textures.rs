@@ -29,6 +29,15 @@ pub struct PlacedWeather<'a> {
     pub weather: &'a WeatherDensity,
 }
 
+/// A thin sheet of ice and where its map stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PlacedSheet {
+    /// Layer of the textures.
+    pub place: u32,
+    /// The seed that its map is made from.
+    pub seed: u32,
+}
+
 /// What a new scene's maps have brought about.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MapsChange {
@@ -104,6 +113,8 @@ pub(super) struct MapTextures {
     profile: wgpu::Texture,
     format: MapFormat,
     held: [Option<Held>; PLACES],
+    /// Seeds of the sheets whose maps stand in the places.
+    sheets: [Option<u32>; PLACES],
 }
 
 fn maps_extent(layers: u32) -> wgpu::Extent3d {
@@ -165,6 +176,7 @@ impl MapTextures {
             profile,
             format: MapFormat::Bytes,
             held: Default::default(),
+            sheets: [None; PLACES],
         }
     }
 
@@ -238,6 +250,43 @@ impl MapTextures {
             self.upload(gpu, place);
         }
         change
+    }
+
+    /// Puts the maps of sheets where they are wanted, after those of weather layers; true when marches read others.
+    pub(super) fn set_sheets(
+        &mut self,
+        gpu: &Gpu,
+        store: &FieldStore,
+        wanted: &[PlacedSheet],
+        change: MapsChange,
+    ) -> bool {
+        let before = std::mem::take(&mut self.sheets);
+        let mut changed = false;
+        for PlacedSheet { place, seed } in wanted.iter().copied() {
+            let index = place as usize;
+            let Some(held) = self.sheets.get_mut(index) else {
+                continue;
+            };
+            *held = Some(seed);
+            if before[index] != Some(seed) || change.textures {
+                changed = true;
+                let maps = store.sheet_maps(seed);
+                let wide = |bytes: &[u8]| bytes.iter().map(|b| u16::from(*b) * 257).collect();
+                // The third channel, a weather layer's skips, is the veil.
+                let texels = packed(
+                    &LayerMaps {
+                        coverage: wide(&maps.patches),
+                        cloud_type: wide(&maps.fibres),
+                        profile: Vec::new(),
+                    },
+                    &maps.veil,
+                    self.format,
+                );
+                let bytes = bytes_per_texel(self.format);
+                upload(gpu, &self.maps, place, maps_extent(1), &texels, bytes);
+            }
+        }
+        changed
     }
 
     /// Puts what a place shows now onto the device.

@@ -13,7 +13,7 @@ pub use device::{AdapterReport, Gpu, GpuError};
 pub use field_textures::FieldTextures;
 pub use inventory::{DeviceInventory, ResourceStats, reads_of};
 pub(crate) use map_textures::blend_key;
-pub use map_textures::{BlendStep, MapsChange, PlacedWeather};
+pub use map_textures::{BlendStep, MapsChange, PlacedSheet, PlacedWeather};
 pub use pipelines::{PipelineKey, Pipelines};
 pub use readback::{MappedPixels, ReadbackRing, read_buffer_blocking};
 pub use timing::{TimedPass, TimingRing};

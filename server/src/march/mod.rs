@@ -19,6 +19,7 @@ pub use settings::MarchSettings;
 pub use sky::{SkyLight, sky_light};
 pub use texels::{BATCH_TILES_MAX, TexelGroup, TexelMarch, texels_key};
 pub use uniforms::{
-    ActiveLayer, EXPOSURE_AT_ZERO_EV, active_layers, drift_m_per_s, grid_first_slices,
-    hg_draine_parameters, layer_features, placed_weather, scene_uniform, wind_drifts,
+    ActiveLayer, EXPOSURE_AT_ZERO_EV, LayerBlend, active_layers, drift_m_per_s, grid_first_slices,
+    hg_draine_parameters, layer_features, placed_sheets, placed_weather, scene_uniform,
+    wind_drifts,
 };

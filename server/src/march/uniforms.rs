@@ -2,7 +2,7 @@
 
 use super::{CellFrame, MarchSettings, SkyLight};
 use crate::field::{SKIP_RANGE_SHARE, mean_height_fraction};
-use crate::gpu::PlacedWeather;
+use crate::gpu::{PlacedSheet, PlacedWeather};
 use glam::DVec3;
 use skycell_protocol::Scene;
 use skycell_protocol::camera::POSITION_ALTITUDE_M;
@@ -38,6 +38,7 @@ pub fn active_layers(scene: &Scene) -> Vec<ActiveLayer> {
         .filter(|(_, layer)| {
             let covers = match layer.density() {
                 DensityModel::Weather(weather) => weather.coverage() > 0.0,
+                DensityModel::Cirrus(cirrus) => cirrus.coverage() > 0.0,
                 DensityModel::Homogeneous(_) | DensityModel::Grid(_) => true,
             };
             covers
@@ -47,8 +48,12 @@ pub fn active_layers(scene: &Scene) -> Vec<ActiveLayer> {
         })
         .map(|(scene_index, layer)| {
             let height_fraction = match layer.density() {
-                DensityModel::Weather(weather) => mean_height_fraction(weather.cloud_type()),
-                DensityModel::Homogeneous(_) | DensityModel::Grid(_) => 0.5,
+                DensityModel::Weather(weather) => {
+                    mean_height_fraction(weather.profile(), weather.cloud_type())
+                }
+                DensityModel::Homogeneous(_) | DensityModel::Grid(_) | DensityModel::Cirrus(_) => {
+                    0.5
+                }
             };
             let thickness_m = layer.top_altitude_m() - layer.base_altitude_m();
             ActiveLayer {
@@ -80,6 +85,23 @@ pub fn placed_weather<'a>(scene: &'a Scene, active: &[ActiveLayer]) -> Vec<Place
         .collect()
 }
 
+/// The sheets of ice among the active layers, each where its map stands.
+#[must_use]
+pub fn placed_sheets(scene: &Scene, active: &[ActiveLayer]) -> Vec<PlacedSheet> {
+    (0..)
+        .zip(active)
+        .filter_map(
+            |(place, active)| match scene.layers().get(active.scene_index)?.density() {
+                DensityModel::Cirrus(cirrus) => Some(PlacedSheet {
+                    place,
+                    seed: cirrus.seed(),
+                }),
+                _ => None,
+            },
+        )
+        .collect()
+}
+
 /// What the marching kernels are specialised to for one layer of a scene.
 #[must_use]
 pub fn layer_features(scene: &Scene, scene_index: usize, settings: &MarchSettings) -> Features {
@@ -90,6 +112,7 @@ pub fn layer_features(scene: &Scene, scene_index: usize, settings: &MarchSetting
         density: match layer.map(CloudLayer::density) {
             Some(DensityModel::Weather(_)) => Density::Weather,
             Some(DensityModel::Grid(_)) => Density::Grid,
+            Some(DensityModel::Cirrus(_)) => Density::Cirrus,
             Some(DensityModel::Homogeneous(_)) | None => Density::Homogeneous,
         },
         exact_interpolation: settings.exact_interpolation,
@@ -120,15 +143,60 @@ pub fn drift_m_per_s(scene: &Scene, index: usize) -> DVec3 {
         .with_y(evolution_m_per_s)
 }
 
-/// Parameters of the phase: HG asymmetry, Draine's asymmetry, α and weight.
-fn phase_parameters(phase: &PhaseFunction) -> (u32, [f64; 4]) {
-    match *phase {
-        PhaseFunction::Isotropic => (0, [0.0; 4]),
-        PhaseFunction::Hg { g } => (1, [g, 0.0, 0.0, 0.0]),
-        PhaseFunction::Draine { g, alpha } => (2, [0.0, g, alpha, 1.0]),
+/// How the composite blends the layers of a scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LayerBlend {
+    /// How many there are.
+    pub layers: usize,
+    /// Whether they scatter light in different ways.
+    pub own_phases: bool,
+    /// Whether two of them share altitudes.
+    pub overlap: bool,
+}
+
+impl LayerBlend {
+    /// What the active layers of a scene need.
+    #[must_use]
+    pub fn of(scene: &Scene, active: &[ActiveLayer]) -> Self {
+        let phase = |layer: &ActiveLayer| scene.layer_phase(layer.scene_index);
+        let span_m = |layer: &ActiveLayer| {
+            let layer = &scene.layers()[layer.scene_index];
+            (layer.base_altitude_m(), layer.top_altitude_m())
+        };
+        let overlap = active.iter().enumerate().any(|(place, layer)| {
+            let (base_m, top_m) = span_m(layer);
+            active[place + 1..].iter().any(|other| {
+                let (other_base_m, other_top_m) = span_m(other);
+                base_m < other_top_m && other_base_m < top_m
+            })
+        });
+        Self {
+            layers: active.len(),
+            own_phases: active.iter().any(|layer| phase(layer) != phase(&active[0])),
+            overlap,
+        }
+    }
+}
+
+/// Parameters of a phase function as shaders read it.
+fn phase_uniform(phase: &PhaseFunction) -> layout::Phase {
+    let [g_hg, g_draine, alpha, weight] = match *phase {
+        PhaseFunction::Isotropic => [0.0; 4],
+        PhaseFunction::Hg { g } => [g, 0.0, 0.0, 0.0],
+        PhaseFunction::Draine { g, alpha } => [0.0, g, alpha, 1.0],
         PhaseFunction::HgDraine {
             droplet_diameter_um: d,
-        } => (3, hg_draine_parameters(d)),
+        } => hg_draine_parameters(d),
+        PhaseFunction::Ice => {
+            let [narrow, broad, share] = PhaseFunction::ICE_LOBES;
+            [narrow, broad, 0.0, share]
+        }
+    };
+    layout::Phase {
+        g_hg: g_hg as f32,
+        g_draine: g_draine as f32,
+        alpha_draine: alpha as f32,
+        draine_weight: weight as f32,
     }
 }
 
@@ -179,7 +247,6 @@ pub fn scene_uniform(
     anchors: &[DVec3],
 ) -> layout::Scene {
     let octaves = settings.octaves.unwrap_or(scene.light().octaves());
-    let (phase_model, [g_hg, g_draine, alpha, weight]) = phase_parameters(scene.light().phase());
     let mut uniform = layout::Scene {
         planet: layout::Planet {
             radius_m: scene.planet().radius_m() as f32,
@@ -212,11 +279,7 @@ pub fn scene_uniform(
             ..Default::default()
         },
         light: layout::Light {
-            phase_model,
-            g_hg: g_hg as f32,
-            g_draine: g_draine as f32,
-            alpha_draine: alpha as f32,
-            draine_weight: weight as f32,
+            phase: phase_uniform(scene.light().phase()),
             octaves,
             sun_steps: settings.sun_steps.unwrap_or(scene.light().sun_steps()),
             sun_march_distance_m: scene.light().sun_march_distance_m() as f32,
@@ -229,7 +292,6 @@ pub fn scene_uniform(
             } else {
                 0.0
             },
-            ..Default::default()
         },
         ..Default::default()
     };
@@ -248,7 +310,7 @@ pub fn scene_uniform(
 /// Where a layer without maps can have density: its bounds, or for a whole layer more than any ray sees.
 fn bounds_m(density: &DensityModel) -> Option<[DVec3; 2]> {
     match density {
-        DensityModel::Weather(_) => None,
+        DensityModel::Weather(_) | DensityModel::Cirrus(_) => None,
         bounded => Some(
             bounded
                 .bounds_m()
@@ -332,6 +394,7 @@ fn layer_uniform(
             0.0
         },
         lights_empty_steps: u32::from(!settings.low_density_skip),
+        phase: phase_uniform(scene.layer_phase(active.scene_index)),
         ..Default::default()
     };
     if let Some([min_m, max_m]) = bounds_m(layer.density()) {
@@ -347,6 +410,30 @@ fn layer_uniform(
     if let DensityModel::Grid(grid) = layer.density() {
         uniform.grid_dimensions = grid.dimensions();
         uniform.grid_first_slice = first_slice;
+    }
+    if let DensityModel::Cirrus(cirrus) = layer.density() {
+        let [x, z] = frame.origin_m();
+        let offset = |[axis_x, axis_z]: [f64; 2], period_m: f64| {
+            period_offset(
+                axis_x * x + axis_z * z,
+                axis_x * drift.x + axis_z * drift.z,
+                period_m,
+            )
+        };
+        let span_m = cirrus.map_span_m();
+        uniform.map_offset = [offset([1.0, 0.0], span_m), offset([0.0, 1.0], span_m)];
+        uniform.map_per_m = (1.0 / span_m) as f32;
+        let [axis_x, axis_z] = cirrus.fibre_axis();
+        uniform.fibre_axis = [axis_x as f32, axis_z as f32];
+        let period_m = cirrus.fibre_period_m();
+        uniform.shape_offset = [
+            offset([axis_x, axis_z], period_m),
+            0.0,
+            offset([-axis_z, axis_x], period_m),
+        ];
+        uniform.shape_per_m = (1.0 / period_m) as f32;
+        uniform.coverage = cirrus.coverage() as f32;
+        uniform.cloud_type = cirrus.cloud_type() as f32;
     }
     if let DensityModel::Weather(weather) = layer.density() {
         let [x, z] = frame.origin_m();
@@ -371,6 +458,12 @@ fn layer_uniform(
         } else {
             0.0
         };
+        let form = weather.form();
+        uniform.shape_floor = form.shape_floor as f32;
+        uniform.shape_range = form.shape_range as f32;
+        uniform.steepness = form.steepness as f32;
+        uniform.dome = form.dome as f32;
+        uniform.wispiness = form.wispiness as f32;
         uniform.skip_range_m = (weather.map_span_m() * SKIP_RANGE_SHARE) as f32;
     }
     uniform

@@ -5,7 +5,7 @@ use crate::field::FieldStore;
 use crate::gpu::{FieldTextures, Gpu, GpuError, PipelineKey, Pipelines};
 use crate::march::{
     ActiveLayer, CellBuffers, CellFrame, MarchSettings, active_layers, layer_features,
-    placed_weather, scene_uniform, sky_light, wind_drifts,
+    placed_sheets, placed_weather, scene_uniform, sky_light, wind_drifts,
 };
 use glam::DVec3;
 use skycell_protocol::Scene;
@@ -82,7 +82,8 @@ impl FieldProbe {
         let active = active_layers(scene);
         let mut keys = Vec::new();
         let maps = placed_weather(scene, &active);
-        field.set_maps(&gpu, &pipelines.field_layout, &maps, grids_dir);
+        let sheets = placed_sheets(scene, &active);
+        field.set_maps(&gpu, &pipelines.field_layout, &maps, &sheets, grids_dir);
         for layer in &active {
             keys.push(PipelineKey {
                 kernel: Kernel::ProbeField,
@@ -145,7 +146,9 @@ impl FieldProbe {
     ) -> Result<(), GpuError> {
         let maps = placed_weather(scene, &self.active);
         let layout = &self.pipelines.field_layout;
-        self.field.set_maps(&self.gpu, layout, &maps, maps_dir);
+        let sheets = placed_sheets(scene, &self.active);
+        self.field
+            .set_maps(&self.gpu, layout, &maps, &sheets, maps_dir);
         self.field.advance_maps(passed_s);
         self.field.show_maps(&self.gpu, &mut self.pipelines)?;
         self.cell.set_field_group(&self.field.bind_group);

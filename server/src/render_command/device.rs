@@ -275,30 +275,30 @@ fn listed(scene: &Scene, rays: &[WorldRay]) -> anyhow::Result<RayPicture> {
 /// A ray's numbers from what the device gathered: its radiance as composited there, the parts of it summed up here.
 fn result_of(world: &World, ray: &StillRay, figures: &RayFigures, index: usize) -> RayResult {
     let light = world.light();
-    let layers: Vec<(&LayerFigures, f64, DVec3)> = figures
+    let x = one_minus_mu(ray.direction, light.sun_direction);
+    let layers: Vec<(&LayerFigures, f64, DVec3, f64)> = figures
         .layers
         .iter()
         .zip(world.layers())
         .map(|(found, layer)| {
             let air = layer.air_extinction_per_m;
-            (&found[index], layer.proxy_altitude_m, air)
+            let phase_per_sr = layer.phase.over_disc_per_sr(x, light.sun_one_minus_mu);
+            (&found[index], layer.proxy_altitude_m, air, phase_per_sr)
         })
         .collect();
-    let x = one_minus_mu(ray.direction, light.sun_direction);
-    let phase_per_sr = world.phase().over_disc_per_sr(x, light.sun_one_minus_mu);
     let eye_m = world.globe().altitude_m(ray.origin_m);
     // The nearest first: layers below the eye from the highest down, then those above it.
     let below = layers
         .iter()
         .rev()
-        .filter(|(_, proxy_m, _)| *proxy_m < eye_m);
-    let above = layers.iter().filter(|(_, proxy_m, _)| *proxy_m >= eye_m);
+        .filter(|(_, proxy_m, ..)| *proxy_m < eye_m);
+    let above = layers.iter().filter(|(_, proxy_m, ..)| *proxy_m >= eye_m);
     let mut result = RayResult {
         radiance: DVec3::from_array(figures.radiance[index].map(f64::from)),
         transmittance: 1.0,
         ..RayResult::default()
     };
-    for (found, _, air_extinction_per_m) in below.chain(above) {
+    for (found, _, air_extinction_per_m, phase_per_sr) in below.chain(above) {
         let transmittance = f64::from(found.transmittance);
         let distance_m = f64::from(found.opacity_distance_m) / (1.0 - transmittance + 1e-3);
         let kept = if world.settings().approximations.aerial_perspective {
@@ -306,7 +306,7 @@ fn result_of(world: &World, ray: &StillRay, figures: &RayFigures, index: usize) 
         } else {
             DVec3::ONE
         };
-        let lit_once = light.irradiance_at_clouds * (phase_per_sr * f64::from(found.single));
+        let lit_once = light.irradiance_at_clouds * (*phase_per_sr * f64::from(found.single));
         result.single_scattered += result.transmittance * lit_once * kept;
         result.transmittance *= transmittance;
         result.optical_depth += f64::from(found.optical_depth);

@@ -9,8 +9,8 @@ use glam::DVec3;
 use skycell_protocol::Scene;
 use skycell_protocol::scene::DensityModel;
 use skycell_reference::{
-    Approximations, ByteVolume, Field, LayerField, Noise, ReferenceError, TexelMap, WeatherMaps,
-    World, WorldSettings,
+    Approximations, ByteVolume, Field, LayerField, Noise, ReferenceError, SheetMaps, TexelMap,
+    WeatherMaps, World, WorldSettings,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -61,6 +61,17 @@ pub fn weather_maps(
     })
 }
 
+/// The maps of a thin sheet.
+fn sheet_maps(store: &FieldStore, seed: u32) -> Result<SheetMaps, ReferenceError> {
+    let maps = store.sheet_maps(seed);
+    let map = |what, texels| TexelMap::new(what, MAP_SIZE, MAP_SIZE, texels);
+    Ok(SheetMaps {
+        patches: map("the map of patches", maps.patches)?,
+        fibres: map("the map of fibres", maps.fibres)?,
+        veil: map("the map of the veil", maps.veil)?,
+    })
+}
+
 /// What the densities of a scene read. Noise is kept in `noise_dir`, voxels and maps are looked for in `grids_dir`.
 ///
 /// # Errors
@@ -84,6 +95,9 @@ pub fn reference_field(
     for (layer, maps) in scene.layers().iter().zip(&maps) {
         field.layers.push(match (layer.density(), maps) {
             (DensityModel::Grid(grid), _) => LayerField::Grid(load_grid(grids_dir, grid)?.values),
+            (DensityModel::Cirrus(cirrus), _) => {
+                LayerField::Sheet(sheet_maps(&store, cirrus.seed())?)
+            }
             (DensityModel::Weather(weather), Some(maps)) => {
                 LayerField::Weather(weather_maps(maps, format, weather.coverage())?)
             }

@@ -135,12 +135,6 @@ fn read_grid(layer: Layer, share: vec3f) -> f32 {
 /// Width of the rise of coverage around its threshold, in units of the map.
 /// Tuned: narrower makes cliffs, wider veils (`skycell-server render` of the default scene).
 const COVERAGE_SOFTNESS: f32 = 0.55;
-/// How steeply density rises from a cloud's surface inwards. Tuned by eye against photographs of cumulus.
-const SURFACE_STEEPNESS: f32 = 6.0;
-/// Shape noise is squeezed into this floor and range: the rest of the threshold is the dimensional profile's, which keeps
-/// bodies whole instead of scattering crumbs above them. Tuned by eye against photographs of cumulus.
-const SHAPE_FLOOR: f32 = 0.34;
-const SHAPE_RANGE: f32 = 0.6;
 /// Mean of both detail channels: what stands for detail that is too fine to be seen.
 const DETAIL_MEAN: f32 = 0.5;
 /// Half the width of what most of the detail's values lie in.
@@ -161,7 +155,7 @@ fn coverage_from_map(layer_coverage: f32, map_value: f32) -> f32 {
     return saturate((map_value - threshold) / COVERAGE_SOFTNESS);
 }
 
-/// Local type in 0 (stratus) ... 1 (cumulus).
+/// Local type in 0...1 before the dome's share.
 fn type_from_map(layer_type: f32, map_value: f32) -> f32 {
     return saturate(layer_type * (1.0 - TYPE_SPREAD + TYPE_SPREAD * map_value));
 }
@@ -171,10 +165,24 @@ fn vertical_profile(layer: Layer, cloud_type: f32, height_fraction: f32) -> f32 
     return read_profile(vec2f(height_fraction, cloud_type), layer.map_index);
 }
 
-/// Dimensional profile d = c v: the cloud before noise carves it.
+/// Dimensional profile d = c v: the cloud before noise carves it. Where the layer has domes, less coverage means a flatter
+/// type: heaps are low at their rims and tall in their middles, and no noise is needed for their tops, which would leave
+/// crumbs above them.
 fn dimensional_profile(layer: Layer, map: vec3f, height_fraction: f32) -> f32 {
-    let cloud_type = type_from_map(layer.cloud_type, map.y);
-    return coverage_from_map(layer.coverage, map.x) * vertical_profile(layer, cloud_type, height_fraction);
+    let coverage = coverage_from_map(layer.coverage, map.x);
+    let cloud_type = type_from_map(layer.cloud_type, map.y) * mix(1.0, coverage, layer.dome);
+    return coverage * vertical_profile(layer, cloud_type, height_fraction);
+}
+
+/// How much billowy noise there is against wispy noise: clouds fray at their bases.
+fn billowy_share(layer: Layer, height_fraction: f32) -> f32 {
+    return saturate(height_fraction * 5.0) * (1.0 - layer.wispiness);
+}
+
+/// How far shape noise reaches above what the profile forbids.
+fn carved_surface(layer: Layer, field_position: vec3f, billowy: f32, profile: f32) -> f32 {
+    let shape = read_shape(field_position * layer.shape_per_m + layer.shape_offset);
+    return layer.shape_floor + layer.shape_range * mix(shape.y, shape.x, billowy) - (1.0 - profile);
 }
 
 /// Density in 0...1 where the dimensional profile is known: the shape noise above what the profile forbids, its surface
@@ -182,10 +190,8 @@ fn dimensional_profile(layer: Layer, map: vec3f, height_fraction: f32) -> f32 {
 /// detail_weight: 1 full detail, 0 its mean.
 fn carved_density(layer: Layer, position: vec3f, altitude_m: f32, height_fraction: f32, profile: f32, detail_weight: f32) -> f32 {
     let field_position = vec3f(position.x, altitude_m, position.z);
-    let shape = read_shape(field_position * layer.shape_per_m + layer.shape_offset);
-    let billowy = saturate(height_fraction * 5.0);
-    let noise = mix(shape.y, shape.x, billowy);
-    let carved = SHAPE_FLOOR + SHAPE_RANGE * noise - (1.0 - profile);
+    let billowy = billowy_share(layer, height_fraction);
+    let carved = carved_surface(layer, field_position, billowy, profile);
 #ifdef WITHOUT_DETAIL
     let detail = DETAIL_MEAN;
 #else
@@ -195,17 +201,27 @@ fn carved_density(layer: Layer, position: vec3f, altitude_m: f32, height_fractio
     // Detail that is too fine to be seen blurs the surface by as much as it would move it.
     let blur = (1.0 - detail_weight) * layer.detail_strength * DETAIL_SPREAD;
     let surface = carved - layer.detail_strength * (1.0 - detail);
-    return saturate((surface + blur) / (1.0 / SURFACE_STEEPNESS + 2.0 * blur));
+    return saturate((surface + blur) / (1.0 / layer.steepness + 2.0 * blur));
 }
 
 /// As carved_density with the detail's mean: what the sun march reads.
 fn smooth_density(layer: Layer, position: vec3f, altitude_m: f32, height_fraction: f32, profile: f32) -> f32 {
     let field_position = vec3f(position.x, altitude_m, position.z);
-    let shape = read_shape(field_position * layer.shape_per_m + layer.shape_offset);
-    let noise = mix(shape.y, shape.x, saturate(height_fraction * 5.0));
-    let carved = SHAPE_FLOOR + SHAPE_RANGE * noise - (1.0 - profile);
-    return saturate((carved - layer.detail_strength * (1.0 - DETAIL_MEAN)) * SURFACE_STEEPNESS);
+    let carved = carved_surface(layer, field_position, billowy_share(layer, height_fraction), profile);
+    return saturate((carved - layer.detail_strength * (1.0 - DETAIL_MEAN)) * layer.steepness);
 }
+
+#ifdef DENSITY_CIRRUS
+/// Density in 0...1 of a thin sheet, the same at all of its altitudes: patches, in which fibres or a veil stand. The map holds
+/// patches, read over its span, and fibres and veil, read over the fibres' period and along their axis.
+fn sheet_density(layer: Layer, position_xz: vec2f) -> f32 {
+    let patches = map_texel(layer, position_xz).x;
+    let axis = layer.fibre_axis;
+    let along = vec2f(dot(position_xz, axis), dot(position_xz, vec2f(-axis.y, axis.x)));
+    let ice = read_map(along * layer.shape_per_m + layer.shape_offset.xz, layer.map_index);
+    return coverage_from_map(layer.coverage, patches) * mix(ice.z, ice.y, layer.cloud_type);
+}
+#endif
 
 /// Density in 0...1 of a layer without maps: a shape that is filled, or voxels. Outside the bounds there is nothing.
 fn bounded_density(layer: Layer, position: vec3f, altitude_m: f32) -> f32 {

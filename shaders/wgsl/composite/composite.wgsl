@@ -1,5 +1,5 @@
 // One picture for one viewer: the layers of its cell, back to front, over sky and ground.
-#import skycell::march::{scene, LayerRadiance}
+#import skycell::march::{scene, LayerRadiance, distance_seen_m}
 #import skycell::scene::{Scene, Layer}
 #import skycell::shell::shell_roots
 #import skycell::shade::{Background, Ray, background, hidden_by_ground, pixel_ray}
@@ -95,8 +95,11 @@ fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, layer
 struct OrderedLayer {
     cloud: LayerRadiance,
     air_extinction_per_m: vec3f,
+#ifdef OWN_PHASES
+    phase_per_sr: f32,
+#endif
     /// Greater for what lies farther back. A ray leaves layers above the eye behind it in rising order, those below it,
-    /// all of them nearer, in falling order.
+    /// all of them nearer, in falling order. Where layers share altitudes: the mean distance of what is seen of each.
     rank: f32,
 }
 
@@ -105,8 +108,19 @@ const ABOVE_RANK: f32 = 1e6;
 
 fn ordered_layer(world: Scene, eye: View, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> OrderedLayer {
     let cloud = layer_radiance(world, eye, layer, table, layer_index, pixel, ray);
+    var ordered: OrderedLayer;
+    ordered.cloud = cloud;
+    ordered.air_extinction_per_m = layer.air_extinction_per_m;
+#ifdef OWN_PHASES
+    ordered.phase_per_sr = sun_phase_per_sr(world, layer.phase, ray);
+#endif
+#ifdef LAYERS_OVERLAP
+    ordered.rank = distance_seen_m(cloud.opacity_distance_m, cloud.transmittance);
+#else
     let altitude = layer.proxy_altitude_m;
-    return OrderedLayer(cloud, layer.air_extinction_per_m, select(-altitude, ABOVE_RANK + altitude, altitude >= ray.origin_altitude_m));
+    ordered.rank = select(-altitude, ABOVE_RANK + altitude, altitude >= ray.origin_altitude_m);
+#endif
+    return ordered;
 }
 
 struct LayerPair {
@@ -121,17 +135,30 @@ fn nearer_first(a: OrderedLayer, b: OrderedLayer) -> LayerPair {
 }
 
 fn chosen(a: OrderedLayer, b: OrderedLayer, second: bool) -> OrderedLayer {
-    return OrderedLayer(
-        LayerRadiance(
-            select(a.cloud.single, b.cloud.single, second),
-            select(a.cloud.octaves, b.cloud.octaves, second),
-            select(a.cloud.ambient, b.cloud.ambient, second),
-            select(a.cloud.transmittance, b.cloud.transmittance, second),
-            select(a.cloud.opacity_distance_m, b.cloud.opacity_distance_m, second),
-        ),
-        select(a.air_extinction_per_m, b.air_extinction_per_m, second),
-        select(a.rank, b.rank, second),
+    var result: OrderedLayer;
+    result.cloud = LayerRadiance(
+        select(a.cloud.single, b.cloud.single, second),
+        select(a.cloud.octaves, b.cloud.octaves, second),
+        select(a.cloud.ambient, b.cloud.ambient, second),
+        select(a.cloud.transmittance, b.cloud.transmittance, second),
+        select(a.cloud.opacity_distance_m, b.cloud.opacity_distance_m, second),
     );
+    result.air_extinction_per_m = select(a.air_extinction_per_m, b.air_extinction_per_m, second);
+#ifdef OWN_PHASES
+    result.phase_per_sr = select(a.phase_per_sr, b.phase_per_sr, second);
+#endif
+    result.rank = select(a.rank, b.rank, second);
+    return result;
+}
+
+/// A layer over what lies behind it. shared_phase_per_sr: of single scattering, where all layers have the same.
+fn over(world: Scene, back: Background, layer: OrderedLayer, shared_phase_per_sr: f32, behind: vec3f) -> vec3f {
+#ifdef OWN_PHASES
+    let phase = layer.phase_per_sr;
+#else
+    let phase = shared_phase_per_sr;
+#endif
+    return layer_over(world, back, phase, behind, layer.cloud, layer.air_extinction_per_m);
 }
 
 /// Radiance that reaches the viewer through the middle of a pixel.
@@ -144,7 +171,11 @@ fn pixel_radiance(world: Scene, eye: View, back: Background, pixel: vec2u) -> ve
 fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ray) -> vec3f {
     var radiance = background_radiance(world, back, ray);
 #if LAYERS >= 1
-    let phase = sun_phase_per_sr(world, ray);
+#ifdef OWN_PHASES
+    let phase = 0.0;
+#else
+    let phase = sun_phase_per_sr(world, world.layers[0].phase, ray);
+#endif
     // Written out with constant indices, so that all of them are read before the first pixel (and because a loop over
     // layers at computed indices keeps the software driver's compiler busy for minutes).
     var first = ordered_layer(world, eye, world.layers[0], eye.tables[0], 0u, pixel, ray);
@@ -171,15 +202,15 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
     pair = nearer_first(first, pair.nearer);
     first = pair.nearer;
     second = pair.farther;
-    radiance = layer_over(world, back, phase, radiance, fourth.cloud, fourth.air_extinction_per_m);
+    radiance = over(world, back, fourth, phase, radiance);
 #endif
 #if LAYERS >= 3
-    radiance = layer_over(world, back, phase, radiance, third.cloud, third.air_extinction_per_m);
+    radiance = over(world, back, third, phase, radiance);
 #endif
 #if LAYERS >= 2
-    radiance = layer_over(world, back, phase, radiance, second.cloud, second.air_extinction_per_m);
+    radiance = over(world, back, second, phase, radiance);
 #endif
-    radiance = layer_over(world, back, phase, radiance, first.cloud, first.air_extinction_per_m);
+    radiance = over(world, back, first, phase, radiance);
 #endif
     return radiance;
 }

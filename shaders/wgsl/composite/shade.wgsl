@@ -3,7 +3,7 @@
 #import skycell::sky::{clear_sky, sun_disc_radiance}
 #import skycell::phase::{one_minus_mu, phase_over_disc_per_sr}
 #import skycell::march::{LayerRadiance, distance_seen_m}
-#import skycell::scene::Scene
+#import skycell::scene::{Scene, Phase}
 
 /// What lies behind all clouds around a direction. Air and ground change so little over two pixels that four share one;
 /// what does not is in Ray.
@@ -63,9 +63,9 @@ fn background_radiance(world: Scene, back: Background, ray: Ray) -> vec3f {
     return select(sky, back.ground, ray.on_ground);
 }
 
-/// The phase of single scattering towards the viewer, 1/sr.
-fn sun_phase_per_sr(world: Scene, ray: Ray) -> f32 {
-    return phase_over_disc_per_sr(world.light, 1.0, ray.angle, world.sun.one_minus_mu_disc);
+/// A layer's phase of single scattering towards the viewer, 1/sr.
+fn sun_phase_per_sr(world: Scene, phase: Phase, ray: Ray) -> f32 {
+    return phase_over_disc_per_sr(phase, 1.0, ray.angle, world.sun.one_minus_mu_disc);
 }
 
 /// One layer over what lies behind it. Clouds are stored premultiplied by their opacity: the haze in front of them is

@@ -1,5 +1,5 @@
 #define_import_path skycell::show
-#import skycell::scene::Scene
+#import skycell::scene::{Scene, Phase}
 #import skycell::march::{LayerRadiance, CLEAR_OPACITY, distance_seen_m}
 #import skycell::shade::{Background, Ray, layer_over}
 #import skycell::colour_scale::{viridis, log_share, NOTHING}
@@ -18,7 +18,7 @@ fn black_background(world: Scene, back: Background, ray: Ray) -> vec3f {
 }
 
 /// The phase of a medium that scatters evenly, 1/sr.
-fn isotropic_per_sr(world: Scene, ray: Ray) -> f32 {
+fn isotropic_per_sr(world: Scene, phase: Phase, ray: Ray) -> f32 {
     return 1.0 / 12.566370614359172;
 }
 

@@ -1,5 +1,5 @@
 #define_import_path skycell::phase
-#import skycell::scene::Light
+#import skycell::scene::Phase
 
 const FOUR_PI: f32 = 12.566370614359172;
 
@@ -27,18 +27,18 @@ fn phase_draine_per_sr(g: f32, alpha: f32, one_minus_mu: f32) -> f32 {
     return phase_hg_per_sr(g, one_minus_mu) * numerator / denominator;
 }
 
-/// The scene's phase function, its asymmetry scaled by `eccentricity` (1 = as it is), 1/sr.
+/// A layer's phase function, its asymmetry scaled by `eccentricity` (1 = as it is), 1/sr.
 /// The blend is Jendersie & d'Eon 2023, eq. 3.
-fn phase_per_sr(light: Light, eccentricity: f32, one_minus_mu: f32) -> f32 {
-    let hg = phase_hg_per_sr(light.g_hg * eccentricity, one_minus_mu);
-    let draine = phase_draine_per_sr(light.g_draine * eccentricity, light.alpha_draine, one_minus_mu);
-    // The weights make the four models one expression: isotropic is HG with g = 0, set on the CPU.
-    return mix(hg, draine, light.draine_weight);
+fn phase_per_sr(phase: Phase, eccentricity: f32, one_minus_mu: f32) -> f32 {
+    let hg = phase_hg_per_sr(phase.g_hg * eccentricity, one_minus_mu);
+    let draine = phase_draine_per_sr(phase.g_draine * eccentricity, phase.alpha_draine, one_minus_mu);
+    // The weights make all models one expression: isotropic is HG with g = 0, set on the CPU.
+    return mix(hg, draine, phase.draine_weight);
 }
 
 /// The phase averaged over the sun's disc, to first order: at the mean of 1-µ over it. The mean of µ over a cap of angular
 /// radius r is µ (1 + cos r)/2, so that of 1-µ is (1-µ) + µ (1 - cos r)/2. This tames a peak that is narrower than the sun,
 /// forward or backward.
-fn phase_over_disc_per_sr(light: Light, eccentricity: f32, one_minus_mu: f32, one_minus_mu_disc: f32) -> f32 {
-    return phase_per_sr(light, eccentricity, one_minus_mu + (1.0 - one_minus_mu) * 0.5 * one_minus_mu_disc);
+fn phase_over_disc_per_sr(phase: Phase, eccentricity: f32, one_minus_mu: f32, one_minus_mu_disc: f32) -> f32 {
+    return phase_per_sr(phase, eccentricity, one_minus_mu + (1.0 - one_minus_mu) * 0.5 * one_minus_mu_disc);
 }

@@ -11,7 +11,11 @@
 #ifdef DENSITY_WEATHER
 #import skycell::density::{map_texel, coverage_from_map, type_from_map, dimensional_profile, carved_density}
 #else
+#ifdef DENSITY_CIRRUS
+#import skycell::density::sheet_density
+#else
 #import skycell::density::bounded_density
+#endif
 #endif
 
 struct Inspection {
@@ -66,7 +70,11 @@ fn value_at(layer: Layer, position: vec3f, altitude: f32) -> vec2f {
 #endif
 #else
     // Without maps there is neither coverage nor type; what stands for the profile is the density itself.
+#ifdef DENSITY_CIRRUS
+    let density = sheet_density(layer, position.xz);
+#else
     let density = bounded_density(layer, position, altitude);
+#endif
 #ifdef SHOW_TYPE
     let found = vec2f(0.0);
 #else

@@ -6,7 +6,11 @@
 #ifdef DENSITY_WEATHER
 #import skycell::density::{map_texel, dimensional_profile, carved_density, smooth_density}
 #else
+#ifdef DENSITY_CIRRUS
+#import skycell::density::sheet_density
+#else
 #import skycell::density::{bounded_density, over_bounds}
+#endif
 #endif
 
 @group(0) @binding(0) var<uniform> scene: Scene;
@@ -64,6 +68,12 @@ fn step_length_m(layer: Layer, distance_m: f32) -> f32 {
 // empty space was skipped. Samples of one texel with other fractions then interleave to one march with as many times
 // finer steps, and their mean hardly differs from texel to texel; free-running samples are noise.
 
+/// Share of the sky's mean radiance that a place sees: deep inside and low in a cloud it is less. Tuned; replaced when
+/// ambient light is measured.
+fn ambient_share(height_fraction: f32, profile: f32, density: f32) -> f32 {
+    return (0.3 + 0.7 * height_fraction) * sqrt(saturate(1.0 - 0.75 * profile * density));
+}
+
 /// Steps from the ray's origin to a distance.
 fn steps_at(layer: Layer, distance_m: f32) -> f32 {
     let relative = distance_m * layer.step_per_distance / layer.step_min_m;
@@ -81,6 +91,18 @@ fn first_sample_at(layer: Layer, distance_m: f32, start_fraction: f32) -> f32 {
     return ceil(steps_at(layer, distance_m) - start_fraction) + start_fraction;
 }
 
+#ifdef DENSITY_CIRRUS
+/// Optical depth from a point of a sheet towards the sun: as if the sheet were everywhere as dense as at the point.
+fn sun_optical_depth(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
+    return sheet_sun_length_m(ray, layer, position) * sheet_density(layer, position.xz) * layer.extinction_per_m;
+}
+
+/// The way from a point of a sheet towards the sun inside it, m.
+fn sheet_sun_length_m(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
+    let way = layer_intervals(ray.planet_radius_m, false, layer.base_altitude_m, layer.top_altitude_m, position, ray.sun_direction);
+    return min(max(way.first_end_m - way.first_start_m, 0.0), ray.sun_march_distance_m);
+}
+#else
 /// Optical depth from a point towards the sun within its layer, by sun_steps samples at quadratically growing distances.
 fn sun_optical_depth(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
     let count = f32(ray.sun_steps);
@@ -105,7 +127,71 @@ fn sun_optical_depth(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
     }
     return sum_m * layer.extinction_per_m;
 }
+#endif
 
+#ifdef DENSITY_CIRRUS
+/// How far apart samples of a sheet stand along the ground where their number allows it, m: a few texels of its map.
+const SHEET_SAMPLE_M: f32 = 120.0;
+/// Most samples of a sheet on one part of a ray.
+const SHEET_SAMPLES_MAX: f32 = 8.0;
+
+/// Samples on a part of a ray through a sheet.
+fn sheet_samples(length_m: f32, across: f32) -> f32 {
+    return select(0.0, clamp(ceil(length_m * across / SHEET_SAMPLE_M), 1.0, SHEET_SAMPLES_MAX), length_m > 0.0);
+}
+
+/// One ray through a thin sheet: a few samples where it is met, no march. start_fraction in 0...1 as in the other march_layer.
+fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction: f32) -> LayerRadiance {
+    let ray = RayScene(
+        scene.planet.radius_m,
+        scene.sun.direction,
+        scene.light.sun_steps,
+        scene.light.sun_march_distance_m,
+    );
+    var octave_attenuation: array<vec4f, #{OCTAVE_VECTORS}>;
+    for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_attenuation[k] = scene.light.octave_attenuation[k]; }
+    let layer = scene.layers[layer_index];
+    let thickness_m = max(layer.top_altitude_m - layer.base_altitude_m, 1e-3);
+    let intervals = layer_intervals(ray.planet_radius_m, scene.planet.has_ground > 0.0, layer.base_altitude_m, layer.top_altitude_m, origin, direction);
+    let across = length(direction.xz);
+    let lengths_m = max(vec2f(intervals.first_end_m - intervals.first_start_m, intervals.second_end_m - intervals.second_start_m), vec2f(0.0));
+    let counts = vec2f(sheet_samples(lengths_m.x, across), sheet_samples(lengths_m.y, across));
+    let layer_distance_m = 0.5 * select(intervals.second_start_m + intervals.second_end_m, intervals.first_start_m + intervals.first_end_m, lengths_m.x > 0.0);
+
+    var transmittance = 1.0;
+    var ambient = 0.0;
+    var weighted_distance_m = 0.0;
+    var octave_sums: array<vec4f, #{OCTAVE_VECTORS}>;
+    for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_sums[k] = vec4f(0.0); }
+#ifdef RAY_LIST
+    optical_depth_seen = 0.0;
+    steps_taken = u32(counts.x + counts.y);
+#endif
+    for (var i = 0.0; i < counts.x + counts.y; i += 1.0) {
+        let is_second = i >= counts.x;
+        let length_m = select(lengths_m.x / max(counts.x, 1.0), lengths_m.y / max(counts.y, 1.0), is_second);
+        let start_m = select(intervals.first_start_m, intervals.second_start_m, is_second);
+        let distance_m = start_m + (select(i, i - counts.x, is_second) + start_fraction) * length_m;
+        let position = origin + direction * distance_m;
+        let density = sheet_density(layer, position.xz);
+        let optical_depth = density * layer.extinction_per_m * length_m;
+        let opacity = optical_depth * one_minus_exp_over(optical_depth);
+        let weight = transmittance * opacity;
+        let sun_depth = sheet_sun_length_m(ray, layer, position) * density * layer.extinction_per_m;
+        for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) {
+            octave_sums[k] += weight * exp(-octave_attenuation[k] * sun_depth);
+        }
+        let height_fraction = saturate((altitude_m(ray.planet_radius_m, position) - layer.base_altitude_m) / thickness_m);
+        ambient += weight * ambient_share(height_fraction, density, density);
+        weighted_distance_m += weight * distance_m;
+        transmittance *= exp(-optical_depth);
+#ifdef RAY_LIST
+        optical_depth_seen += optical_depth;
+#endif
+    }
+    return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, ambient, transmittance, weighted_distance_m + CLEAR_OPACITY * layer_distance_m);
+}
+#else
 /// Marches one ray through one layer. start_fraction in 0...1 shifts the samples by that share of a step.
 fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction: f32) -> LayerRadiance {
     let ray = RayScene(
@@ -223,8 +309,7 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) {
             octave_sums[k] += weight * exp(-octave_attenuation[k] * sun_depth);
         }
-        // Deep inside and low in a cloud less of the sky is seen. Tuned; replaced when ambient light is measured.
-        ambient += weight * (0.3 + 0.7 * height_fraction) * sqrt(saturate(1.0 - 0.75 * profile * density));
+        ambient += weight * ambient_share(height_fraction, profile, density);
         weighted_distance_m += weight * distance_m;
         transmittance *= exp(-optical_depth);
 #ifdef RAY_LIST
@@ -236,19 +321,25 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         if transmittance < layer.transmittance_min { break; }
     }
 
+    return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, ambient, transmittance, weighted_distance_m + CLEAR_OPACITY * layer_distance_m);
+}
+#endif
+
+/// Sums of a ray with albedo, phases and the factor of ambient light. angle: 1 - cos of that to the sun.
+fn gathered(layer: Layer, angle: f32, octave_sums: array<vec4f, #{OCTAVE_VECTORS}>, ambient: f32, transmittance: f32, opacity_distance_m: f32) -> LayerRadiance {
+    var sums = octave_sums;
     var result: LayerRadiance;
     let albedo = layer.single_scattering_albedo;
-    let angle = one_minus_mu(direction, ray.sun_direction);
-    result.single = albedo * octave_sums[0].x;
+    result.single = albedo * sums[0].x;
     result.octaves = 0.0;
     for (var i = 1u; i < scene.light.octaves; i += 1u) {
         let contribution = scene.light.octave_contribution[i / 4u][i % 4u];
-        let phase = phase_per_sr(scene.light, scene.light.octave_eccentricity[i / 4u][i % 4u], angle);
-        result.octaves += albedo * contribution * phase * octave_sums[i / 4u][i % 4u];
+        let phase = phase_per_sr(layer.phase, scene.light.octave_eccentricity[i / 4u][i % 4u], angle);
+        result.octaves += albedo * contribution * phase * sums[i / 4u][i % 4u];
     }
     result.ambient = albedo * scene.light.ambient * ambient;
     result.transmittance = transmittance;
-    result.opacity_distance_m = weighted_distance_m + CLEAR_OPACITY * layer_distance_m;
+    result.opacity_distance_m = opacity_distance_m;
     return result;
 }
 

@@ -12,7 +12,11 @@
 #ifdef DENSITY_WEATHER
 #import skycell::density::{map_texel, dimensional_profile, vertical_profile, carved_density, smooth_density}
 #else
+#ifdef DENSITY_CIRRUS
+#import skycell::density::{map_texel, sheet_density}
+#else
 #import skycell::density::{bounded_density, over_bounds}
+#endif
 #endif
 
 /// Four vectors a point.
@@ -63,9 +67,15 @@ fn probe_field(@builtin(global_invocation_id) id: vec3u) {
             value = vec4f(density, smoothed, altitude, profile);
             more = vec4f(map, height_fraction);
 #else
+#ifdef DENSITY_CIRRUS
+            let density = sheet_density(layer, a.xz);
+            value = vec4f(density, density, altitude, density);
+            more = vec4f(map_texel(layer, a.xz), height_fraction);
+#else
             let density = bounded_density(layer, a.xyz, altitude);
             value = vec4f(density, density, altitude, 1.0);
             more = vec4f(0.0, 0.0, 0.0, height_fraction);
+#endif
 #endif
         }
         // Optical depth from a.xyz towards the sun.
@@ -75,7 +85,7 @@ fn probe_field(@builtin(global_invocation_id) id: vec3u) {
         }
         // over_bounds(origin = a.xyz, direction = b.xyz)
         case 5u: {
-#ifndef DENSITY_WEATHER
+#ifdef DENSITY_SHAPE
             let over = over_bounds(layer, a.xyz, b.xyz);
             value = vec4f(over, 0.0, 0.0);
 #endif
@@ -93,7 +103,7 @@ fn probe_field(@builtin(global_invocation_id) id: vec3u) {
         }
         // The scene's phase at 1 - cos = a.x with eccentricity a.y; averaged over a disc of 1 - cos(radius) = a.z
         case 8u: {
-            value = vec4f(phase_per_sr(world.light, a.y, a.x), phase_over_disc_per_sr(world.light, a.y, a.x, a.z), 0.0, 0.0);
+            value = vec4f(phase_per_sr(world.light.phase, a.y, a.x), phase_over_disc_per_sr(world.light.phase, a.y, a.x, a.z), 0.0, 0.0);
         }
         // What lies behind all clouds from a.xyz towards b.xyz: radiance and whether it is ground; transmittance of the air
         case 9u: {
@@ -109,7 +119,7 @@ fn probe_field(@builtin(global_invocation_id) id: vec3u) {
             let back = background(world, a.xyz, altitude, b.xyz);
             let ray = pixel_ray(world, a.xyz, altitude, b.xyz);
             let cloud = LayerRadiance(c.x, c.y, c.z, c.w, b.w);
-            value = vec4f(layer_over(world, back, sun_phase_per_sr(world, ray), d.xyz, cloud, layer.air_extinction_per_m), 0.0);
+            value = vec4f(layer_over(world, back, sun_phase_per_sr(world, layer.phase, ray), d.xyz, cloud, layer.air_extinction_per_m), 0.0);
         }
         // The tone curves of a.xyz; b.x says which.
         case 11u: {

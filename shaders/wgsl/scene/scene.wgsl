@@ -55,22 +55,27 @@ struct Sky {
     pad_environment: f32,
 }
 
-/// How light scatters in cloud.
-struct Light {
-    /// 0 isotropic, 1 Henyey-Greenstein, 2 Draine, 3 HG + Draine.
-    phase_model: u32,
+/// Where droplets or crystals scatter light to: (1 - w) HG(g_hg) + w Draine(g_draine, alpha). One of the two alone, two
+/// lobes of HG (alpha 0) and isotropic (HG with g 0) are cases of it.
+struct Phase {
     g_hg: f32,
     g_draine: f32,
     alpha_draine: f32,
     draine_weight: f32,
+}
+
+/// How light scatters in cloud.
+struct Light {
+    /// What layers have that have none of their own.
+    phase: Phase,
     octaves: u32,
     sun_steps: u32,
     sun_march_distance_m: f32,
+    ambient: f32,
     /// Octave i in component i % 4 of element i / 4: a^i, b^i (0 beyond the last octave) and c^i.
     octave_attenuation: array<vec4f, 4>,
     octave_contribution: array<vec4f, 4>,
     octave_eccentricity: array<vec4f, 4>,
-    ambient: f32,
 }
 
 /// One cloud layer. Offsets are fractions of a period, reduced in f64 on the CPU, so that time and place never cost
@@ -97,6 +102,8 @@ struct Layer {
     map_index: u32,
     /// Where the proxy sphere stands, m above ground.
     proxy_altitude_m: f32,
+    /// Unit vector along the fibres of a sheet, x and z.
+    fibre_axis: vec2f,
     /// Centre of the octahedral addresses, in the cell's frame; drifts with the layer's wind.
     anchor: vec3f,
     /// Shortest step inside cloud, m.
@@ -120,6 +127,18 @@ struct Layer {
     /// Voxels along x, y and z.
     grid_dimensions: vec3u,
     pad_grid: u32,
+    /// Where the droplets or crystals scatter light to.
+    phase: Phase,
+    /// Shape noise is squeezed into this floor and range: the rest of the threshold is the dimensional profile's, which
+    /// keeps bodies whole instead of scattering crumbs above them.
+    shape_floor: f32,
+    shape_range: f32,
+    /// How steeply density rises from a cloud's surface inwards.
+    steepness: f32,
+    /// How much of the local type hangs on the local coverage, 0...1.
+    dome: f32,
+    /// Share of wispy noise above the base, 0...1.
+    wispiness: f32,
 }
 
 struct Scene {

@@ -14,6 +14,7 @@ mod octaves;
 mod phase;
 mod place;
 mod planted;
+mod sheets;
 mod shells;
 mod stage;
 mod steps;
@@ -26,7 +27,7 @@ use stage::{Stage, stage};
 type Run = fn(&mut Stage) -> Line;
 
 /// How many cases each line has.
-const CASES: [(Run, usize); 20] = [
+const CASES: [(Run, usize); 21] = [
     (sun::anywhere, 102),
     (sun::along_the_ray, 8),
     (camera::anywhere, 92),
@@ -47,6 +48,7 @@ const CASES: [(Run, usize); 20] = [
     (maps::refused, 4),
     (maps::evolution, 5),
     (maps::mixed, 1),
+    (sheets::anywhere, 66),
 ];
 
 fn check(index: usize) {
@@ -89,4 +91,5 @@ lines! {
     files_that_hold_no_coverages_are_refused_by_their_value = 17;
     noise_may_rise_for_a_month = 18;
     maps_on_their_way_are_the_references_mix = 19;
+    sheets_may_be_seen_from_anywhere_even_along_them = 20;
 }

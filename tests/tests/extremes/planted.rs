@@ -2,7 +2,7 @@
 
 use super::line::Line;
 use super::stage::{Stage, stage};
-use super::{camera, depth, layers, maps, phase, shells, steps};
+use super::{camera, depth, layers, maps, phase, sheets, shells, steps};
 use skycell_shaders::SourceEdit;
 
 /// What is planted where; the text must be there.
@@ -27,7 +27,7 @@ type Case = (
     fn(&mut Stage) -> Line,
 );
 
-const DEFECTS: [Case; 9] = [
+const DEFECTS: [Case; 10] = [
     (
         "shell roots from squares of radii",
         edit!(
@@ -108,6 +108,16 @@ const DEFECTS: [Case; 9] = [
         ),
         "maps on their way",
         maps::mixed,
+    ),
+    (
+        "a sheet as thick from the side as from below",
+        edit!(
+            "march/march.wgsl",
+            "let optical_depth = density * layer.extinction_per_m * length_m;\n        let opacity",
+            "let optical_depth = density * layer.extinction_per_m * thickness_m;\n        let opacity"
+        ),
+        "sheets",
+        sheets::anywhere,
     ),
     (
         "rays that end after four times their steps",

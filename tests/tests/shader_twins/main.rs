@@ -7,6 +7,7 @@ mod geometry;
 mod maps;
 mod march;
 mod phase;
+mod sheet;
 mod sky;
 mod support;
 mod tone;

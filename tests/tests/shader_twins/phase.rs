@@ -122,6 +122,7 @@ fn phase_functions_integrate_to_one_over_the_sphere() {
 fn the_scenes_phase_is_its_models_for_every_droplet_and_octave() {
     let models = [
         serde_json::json!({"model": "isotropic"}),
+        serde_json::json!({"model": "ice"}),
         serde_json::json!({"model": "hg", "g": 0.999}),
         serde_json::json!({"model": "hg", "g": -0.6}),
         serde_json::json!({"model": "draine", "g": 0.9, "alpha": 1e4}),
@@ -154,13 +155,13 @@ fn the_scenes_phase_is_its_models_for_every_droplet_and_octave() {
             })
             .collect();
         let values = probe.ask(FieldQuestion::Phase, &points);
-        let light = probe.device.uniform().light;
+        let phase = probe.device.uniform().light.phase;
         // The parameters as the device has them.
         let [g_hg, g_draine, alpha, w] = [
-            light.g_hg,
-            light.g_draine,
-            light.alpha_draine,
-            light.draine_weight,
+            phase.g_hg,
+            phase.g_draine,
+            phase.alpha_draine,
+            phase.draine_weight,
         ]
         .map(f64::from);
         let check = |weight: f64| {
@@ -191,8 +192,13 @@ fn the_scenes_phase_is_its_models_for_every_droplet_and_octave() {
             }))
         };
         // Planted: the parts' weights swapped; where there is one part only, half of each.
-        let swapped = if w == 0.0 || w == 1.0 { 0.5 } else { 1.0 - w };
-        let defect = if light.phase_model == 0 {
+        // Ice has as much of both.
+        let swapped = if w == 0.0 || w == 0.5 || w == 1.0 {
+            0.25
+        } else {
+            1.0 - w
+        };
+        let defect = if g_hg == 0.0 && w == 0.0 {
             f64::INFINITY
         } else {
             check(swapped)

@@ -3,4 +3,5 @@
 pub mod grid;
 pub mod profile;
 pub mod shape;
+pub mod sheet;
 pub mod weather;

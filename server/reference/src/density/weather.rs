@@ -1,18 +1,13 @@
 //! Density from weather maps and noise (A. Schneider, "Nubis", 2015-2023; P. Ford 2024, 3.1):
 //! ρ = the shape noise above what the dimensional profile d = c v forbids, its surface eroded by detail noise.
-//! The constants are the renderer's model; see `cloud/density.wgsl` for what they were tuned to.
+//! The constants are the renderer's model; see `cloud/density.wgsl` for what they were tuned to. What differs between families
+//! is the scene's [`CloudForm`].
 
 use crate::{Noise, WeatherMaps};
-use skycell_protocol::scene::WeatherDensity;
+use skycell_protocol::scene::{CloudForm, WeatherDensity};
 
 /// Width of the rise of coverage around its threshold, in units of the map.
 pub const COVERAGE_SOFTNESS: f64 = 0.55;
-/// How steeply density rises from a cloud's surface inwards.
-pub const SURFACE_STEEPNESS: f64 = 6.0;
-/// Shape noise is squeezed into this floor and range.
-pub const SHAPE_FLOOR: f64 = 0.34;
-/// See [`SHAPE_FLOOR`].
-pub const SHAPE_RANGE: f64 = 0.6;
 /// What stands for detail that is too fine to be seen.
 pub const DETAIL_MEAN: f64 = 0.5;
 /// Half the width of what most of the detail's values lie in.
@@ -21,9 +16,6 @@ pub const DETAIL_SPREAD: f64 = 0.3;
 pub const TYPE_SPREAD: f64 = 0.45;
 /// Share of the map's span that the skip map means at 1.
 pub const SKIP_RANGE_SHARE: f64 = 0.25;
-
-/// Least dimensional profile at which any noise leaves cloud: below it even noise 1 does not reach the surface.
-pub const PROFILE_MIN: f64 = 1.0 - SHAPE_FLOOR - SHAPE_RANGE;
 
 /// A place in the field: where the wind has brought it from.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,8 +33,10 @@ pub struct FieldPlace {
 pub struct Weather {
     /// Share of the sky that clouds cover.
     pub coverage: f64,
-    /// 0 stratus to 1 cumulus.
+    /// Place among the profile's types, 0…1.
     pub cloud_type: f64,
+    /// How noise carves the clouds.
+    pub form: CloudForm,
     /// Length after which the maps repeat, m.
     pub map_span_m: f64,
     /// Length after which the shape noise repeats, m.
@@ -72,6 +66,7 @@ impl Weather {
         Self {
             coverage: density.coverage(),
             cloud_type: density.cloud_type(),
+            form: density.form(),
             map_span_m: density.map_span_m(),
             shape_period_m: density.shape_period_m(),
             detail_period_m: density.detail_period_m(),
@@ -102,10 +97,22 @@ impl Weather {
         ((map_value - threshold) / COVERAGE_SOFTNESS).clamp(0.0, 1.0)
     }
 
-    /// Local type for what the map holds.
+    /// Local type for what the map holds, before the dome's share.
     #[must_use]
     pub fn type_from_map(&self, map_value: f64) -> f64 {
         (self.cloud_type * (1.0 - TYPE_SPREAD + TYPE_SPREAD * map_value)).clamp(0.0, 1.0)
+    }
+
+    /// Local type under a local coverage: where there are domes, rims are flatter than middles.
+    #[must_use]
+    pub fn domed_type(&self, map_value: f64, coverage: f64) -> f64 {
+        self.type_from_map(map_value) * (1.0 - self.form.dome * (1.0 - coverage))
+    }
+
+    /// Least dimensional profile at which any noise leaves cloud: below it even noise 1 does not reach the surface.
+    #[must_use]
+    pub fn profile_min(&self) -> f64 {
+        1.0 - self.form.shape_floor - self.form.shape_range
     }
 
     /// Height fraction of an altitude, not bounded.
@@ -133,8 +140,8 @@ impl Weather {
         } else {
             maps.cloud_type.repeated(u, v)
         };
-        let cloud_type = self.type_from_map(map_value);
-        coverage * maps.profile.clamped(height_fraction, cloud_type)
+        let local_type = self.domed_type(map_value, coverage);
+        coverage * maps.profile.clamped(height_fraction, local_type)
     }
 
     /// Horizontal distance in which there is no cloud, m.
@@ -147,8 +154,8 @@ impl Weather {
     }
 
     /// How much billowy noise there is against wispy noise.
-    fn billowy(height_fraction: f64) -> f64 {
-        (5.0 * height_fraction).clamp(0.0, 1.0)
+    pub(crate) fn billowy(&self, height_fraction: f64) -> f64 {
+        (5.0 * height_fraction).clamp(0.0, 1.0) * (1.0 - self.form.wispiness)
     }
 
     /// How far the shape noise reaches above what the profile forbids.
@@ -156,8 +163,8 @@ impl Weather {
         let [billowy, wispy] = noise
             .shape
             .repeated(self.noise_place(place, self.shape_period_m));
-        let shape = wispy + (billowy - wispy) * Self::billowy(height_fraction);
-        SHAPE_FLOOR + SHAPE_RANGE * shape - (1.0 - profile)
+        let shape = wispy + (billowy - wispy) * self.billowy(height_fraction);
+        self.form.shape_floor + self.form.shape_range * shape - (1.0 - profile)
     }
 
     /// Density in 0…1 at a place with a dimensional profile. detail_weight: 1 full detail, 0 its mean.
@@ -170,7 +177,7 @@ impl Weather {
         profile: f64,
         detail_weight: f64,
     ) -> f64 {
-        if profile <= PROFILE_MIN {
+        if profile <= self.profile_min() {
             return 0.0;
         }
         let carved = self.carved(noise, place, height_fraction, profile);
@@ -182,7 +189,7 @@ impl Weather {
             let [billowy, wispy] = noise
                 .detail
                 .repeated(self.noise_place(place, self.detail_period_m));
-            let fine = wispy + (billowy - wispy) * Self::billowy(height_fraction);
+            let fine = wispy + (billowy - wispy) * self.billowy(height_fraction);
             DETAIL_MEAN + (fine - DETAIL_MEAN) * detail_weight
         } else {
             DETAIL_MEAN
@@ -190,7 +197,7 @@ impl Weather {
         // Detail that is too fine to be seen blurs the surface by as much as it would move it.
         let blur = (1.0 - detail_weight) * self.detail_strength * DETAIL_SPREAD;
         let surface = carved - self.detail_strength * (1.0 - detail);
-        ((surface + blur) / (1.0 / SURFACE_STEEPNESS + 2.0 * blur)).clamp(0.0, 1.0)
+        ((surface + blur) / (1.0 / self.form.steepness + 2.0 * blur)).clamp(0.0, 1.0)
     }
 
     /// Density in 0…1 with the detail's mean and no blur: what the march to the sun reads.
@@ -203,10 +210,10 @@ impl Weather {
         profile: f64,
     ) -> f64 {
         let eroded = self.detail_strength * (1.0 - DETAIL_MEAN);
-        if profile <= PROFILE_MIN + eroded {
+        if profile <= self.profile_min() + eroded {
             return 0.0;
         }
         let carved = self.carved(noise, place, height_fraction, profile);
-        ((carved - eroded) * SURFACE_STEEPNESS).clamp(0.0, 1.0)
+        ((carved - eroded) * self.form.steepness).clamp(0.0, 1.0)
     }
 }

@@ -1,7 +1,7 @@
 //! Layers over what lies behind them.
 
 use crate::phase::one_minus_mu;
-use crate::{LayerGathered, Ray, RayResult, StandardErrors, World};
+use crate::{LayerGathered, Ray, RayResult, StandardErrors, World, WorldLayer};
 use glam::DVec3;
 
 /// Blends what a ray gathered in its layers, given lowest first, over sky or ground.
@@ -17,7 +17,6 @@ pub(super) fn blended(
     let light = world.light();
     let background = light.background(ray, air_direction);
     let x = one_minus_mu(ray.direction, light.sun_direction);
-    let sun_phase_per_sr = world.phase().over_disc_per_sr(x, light.sun_one_minus_mu);
     let hazed = world.settings().approximations.aerial_perspective;
     let (mut radiance, mut single) = (background.radiance, DVec3::ZERO);
     let (mut transmittance, mut optical_depth) = (1.0, 0.0);
@@ -32,9 +31,17 @@ pub(super) fn blended(
     };
     let above = gathered.iter().rev().filter(is_above);
     let below = gathered.iter().filter(|cloud| !is_above(cloud));
-    for cloud in above.chain(below) {
-        let air_extinction_per_m =
-            layer_of(cloud).map_or(DVec3::ZERO, |layer| layer.air_extinction_per_m);
+    let mut order: Vec<&LayerGathered> = above.chain(below).collect();
+    // Layers that share altitudes: what is seen farther away, in the mean, lies behind.
+    if world.layers_overlap() {
+        order.sort_by(|a, b| b.distance_seen_m().total_cmp(&a.distance_seen_m()));
+    }
+    for cloud in order {
+        let Some(layer) = layer_of(cloud) else {
+            continue;
+        };
+        let air_extinction_per_m = layer.air_extinction_per_m;
+        let sun_phase_per_sr = layer.phase.over_disc_per_sr(x, light.sun_one_minus_mu);
         let (kept, share) = if hazed {
             let kept = (-cloud.distance_seen_m() * air_extinction_per_m).exp();
             let share = (DVec3::ONE - kept) * background.air_share;
@@ -72,7 +79,7 @@ pub(super) struct Octaves {
 }
 
 impl Octaves {
-    pub(super) fn new(world: &World, ray: &Ray) -> Self {
+    pub(super) fn new(world: &World, layer: &WorldLayer, ray: &Ray) -> Self {
         let light = world.scene().light();
         let x = one_minus_mu(ray.direction, world.light().sun_direction);
         let power = |base: f64, i: u32| base.powi(i as i32);
@@ -86,7 +93,7 @@ impl Octaves {
                 .skip(1)
                 .map(|i| {
                     let eccentricity = power(light.octave_eccentricity(), i);
-                    power(light.octave_contribution(), i) * world.phase().per_sr(eccentricity, x)
+                    power(light.octave_contribution(), i) * layer.phase.per_sr(eccentricity, x)
                 })
                 .collect(),
         }

@@ -21,6 +21,8 @@ const TRANSMITTANCE_FLOOR: f64 = 1e-3;
 /// coarsest noise; each further one halves both.
 const FIRST_STEPS: f64 = 128.0;
 const FIRST_SUN_STEPS: f64 = 32.0;
+/// By how much longer the first level's steps in a thin sheet are than in other layers of its thickness.
+const SHEET_STEPS: f64 = 8.0;
 /// Steps that share one march to the sun: optical depth towards the sun is an integral and so smoother than density. The
 /// sharing is halved with the steps, so it does not stay behind.
 const SHARED_STEPS: u32 = 4;
@@ -214,12 +216,18 @@ impl<'a> LayerMarch<'a> {
             Medium::Box { min_m, max_m } => (*max_m - *min_m).min_element(),
             Medium::Ball { radius_m, .. } => *radius_m,
             Medium::Grid(grid) => (grid.max_m - grid.min_m).min_element(),
+            // Even along the height; what varies is the map.
+            Medium::Sheet(_) => SHEET_STEPS * layer.thickness_m(),
+        };
+        let step_extent_m = match &layer.medium {
+            Medium::Sheet(_) => extent_m,
+            _ => layer.thickness_m().min(extent_m),
         };
         Self {
             world,
             layer,
             place,
-            step_m: layer.thickness_m().min(extent_m) / FIRST_STEPS * scale,
+            step_m: step_extent_m / FIRST_STEPS * scale,
             sun_step_m: sun_end_m.min(4.0 * extent_m) / FIRST_SUN_STEPS * scale,
             sun_end_m,
         }
@@ -266,7 +274,11 @@ impl<'a> LayerMarch<'a> {
                         .density_at(self.layer, place, height_fraction, 1.0)
                 }
             };
-            return (density, 1.0, height_fraction);
+            let profile = match &self.layer.medium {
+                Medium::Sheet(_) => density,
+                _ => 1.0,
+            };
+            return (density, profile, height_fraction);
         };
         let (Some(noise), Some(maps)) = (self.world.noise(), self.world.maps(self.layer)) else {
             return (0.0, 0.0, height_fraction);
@@ -278,7 +290,7 @@ impl<'a> LayerMarch<'a> {
     }
 
     fn gather(&self, ray: &Ray, dark: f64) -> (LayerGathered, u64) {
-        let octaves = Octaves::new(self.world, ray);
+        let octaves = Octaves::new(self.world, self.layer, ray);
         let mut sums = octaves.sums();
         let exact = matches!(self.world.majorant(self.place), Majorant::Exact);
         let shared = if exact { 1 } else { SHARED_STEPS };

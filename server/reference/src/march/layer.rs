@@ -195,12 +195,15 @@ pub fn gather_layer(
     ray: &Ray,
     settings: &MarchSteps,
 ) -> (LayerGathered, u64) {
+    if let Medium::Sheet(_) = layer.medium {
+        return super::sheet::gather_sheet(world, layer, ray, settings.start_fraction);
+    }
     let grid = StepGrid::new(layer, settings.steps);
     let sun_steps = settings
         .sun_steps
         .unwrap_or(world.scene().light().sun_steps())
         .max(1);
-    let octaves = Octaves::new(world, ray);
+    let octaves = Octaves::new(world, layer, ray);
     let mut sums = octaves.sums();
     let parts = world
         .globe()

@@ -3,9 +3,11 @@
 mod blend;
 mod converged;
 mod layer;
+mod sheet;
 
 pub use converged::{ConvergeLimit, Converged, converged_ray};
 pub use layer::{MarchSteps, detail_weight, gather_layer, sun_optical_depth};
+pub use sheet::sheet_sun_depth;
 
 use crate::{Ray, RayResult, World};
 use blend::blended;

@@ -5,7 +5,7 @@
 //! they are, for places that rounding moves across their edge.
 
 use crate::density::grid::Grid;
-use crate::density::weather::{PROFILE_MIN, SHAPE_FLOOR, SHAPE_RANGE, SURFACE_STEEPNESS, Weather};
+use crate::density::weather::Weather;
 use crate::shell::{Globe, Interval};
 use crate::world::Medium;
 use crate::{Noise, Ray, TexelMap, WeatherMaps, World, WorldLayer};
@@ -23,6 +23,8 @@ const TEXELS_PER_CELL: u32 = 8;
 const WEATHER_HEIGHTS: usize = 48;
 /// Most cells of a grid along each axis.
 const GRID_CELLS_MAX: usize = 64;
+/// Edge of the columns of a thin sheet, m.
+const SHEET_CELL_M: f64 = 1e6;
 /// What rounding may add to a dimensional profile.
 const ROUNDING: f64 = 1e-12;
 
@@ -85,6 +87,7 @@ impl Majorants {
                     Medium::Grid(grid) => {
                         Majorant::Cells(Cells::of_grid(grid, world.voxels(layer)))
                     }
+                    Medium::Sheet(_) => Majorant::Cells(Cells::of_sheet(layer)),
                     Medium::Weather(weather) => match (world.noise(), world.maps(layer)) {
                         (Some(noise), Some(maps)) => {
                             Majorant::Cells(Cells::of_weather(weather, noise, maps))
@@ -113,6 +116,19 @@ impl Cells {
             counts: [1; 3],
             push_m: PUSH,
             bounds: vec![0.0],
+        }
+    }
+
+    /// The bound 1 in all of a thin sheet: it is so thin that finer ones would save little.
+    fn of_sheet(layer: &WorldLayer) -> Self {
+        let cell_m = DVec3::new(SHEET_CELL_M, layer.thickness_m(), SHEET_CELL_M);
+        Self {
+            repeats: true,
+            min_m: DVec3::new(0.0, layer.base_altitude_m, 0.0),
+            cell_m,
+            counts: [1; 3],
+            push_m: PUSH * cell_m.min_element(),
+            bounds: vec![1.0],
         }
     }
 
@@ -170,23 +186,28 @@ impl Cells {
         let ny = WEATHER_HEIGHTS;
         let rows = ProfileBounds::new(&maps.profile, ny);
         let shape = ShapeBounds::new(weather, noise, [nx, ny, nz]);
+        let form = weather.form;
         let bounds = (0..nx * nz)
             .into_par_iter()
             .flat_map_iter(|column| {
                 let (x, z) = (column % nx, column / nx);
-                let [_, most] = value_range(&maps.coverage, [x, z], [nx, nz]);
-                let coverage = weather.coverage_from_map(most);
+                let [rim, middle] = value_range(&maps.coverage, [x, z], [nx, nz])
+                    .map(|value| weather.coverage_from_map(value));
+                let coverage = middle;
                 let [least, most] = value_range(&maps.cloud_type, [x, z], [nx, nz]);
-                let types = [weather.type_from_map(least), weather.type_from_map(most)];
+                let types = [
+                    weather.domed_type(least, rim),
+                    weather.domed_type(most, middle),
+                ];
                 let (rows, shape) = (&rows, &shape);
                 (0..ny).map(move |y| {
                     let profile = coverage * rows.most(y, types) + ROUNDING;
-                    if profile <= PROFILE_MIN {
+                    if profile <= weather.profile_min() {
                         return 0.0;
                     }
-                    let carved =
-                        SHAPE_FLOOR + SHAPE_RANGE * shape.most([x, y, z]) - (1.0 - profile);
-                    stored(((carved + ROUNDING) * SURFACE_STEEPNESS).clamp(0.0, 1.0))
+                    let noise = form.shape_floor + form.shape_range * shape.most([x, y, z]);
+                    let carved = noise - (1.0 - profile);
+                    stored(((carved + ROUNDING) * form.steepness).clamp(0.0, 1.0))
                 })
             })
             .collect();
@@ -396,7 +417,7 @@ impl ShapeBounds {
                 // The blend of both is linear in its share, so it is greatest at an end.
                 let [billowy, wispy] = greatest.map(|byte| f64::from(byte) / 255.0);
                 let blend = |fraction: f64| {
-                    let share = (5.0 * fraction).clamp(0.0, 1.0);
+                    let share = weather.billowy(fraction);
                     wispy + (billowy - wispy) * share
                 };
                 most.push(blend(low).max(blend(high)));

@@ -161,7 +161,6 @@ fn scattered(
     settings: &PathSettings,
 ) -> Gathered {
     let light = world.light();
-    let phase = world.phase();
     let environment_factor = environment_factor(world);
     let mut gathered = Gathered::default();
     let (mut at, mut towards, mut weight) = (first, ray.direction, 1.0);
@@ -182,6 +181,7 @@ fn scattered(
         if weight <= 0.0 {
             return gathered;
         }
+        let phase = &world.layers()[at.scatterer].phase;
         // The sun, directly.
         let to_sun = match settings.sun {
             SunShape::Point => light.sun_direction,

@@ -24,6 +24,8 @@ pub struct Collision {
     pub albedo: f64,
     /// The layer, by its place in the world's, that is densest there.
     pub layer: usize,
+    /// The layer whose droplet or crystal it hit: where layers overlap, drawn by their shares of the scattering.
+    pub scatterer: usize,
 }
 
 /// A place at which a ray may collide.
@@ -34,6 +36,25 @@ struct Tentative {
     scattering_per_m: f64,
     bound_per_m: f64,
     layer: usize,
+    scattering_by_layer_per_m: [f64; LAYERS],
+}
+
+impl Tentative {
+    /// The layer that scatters. No random number is drawn where there is no choice.
+    fn scatterer(&self, random: &mut Random) -> usize {
+        let scattering = self.scattering_by_layer_per_m.iter().filter(|s| **s > 0.0);
+        if scattering.count() < 2 {
+            return self.layer;
+        }
+        let mut left = random.unit() * self.scattering_per_m;
+        for (place, own) in self.scattering_by_layer_per_m.iter().enumerate() {
+            left -= own;
+            if *own > 0.0 && left < 0.0 {
+                return place;
+            }
+        }
+        self.layer
+    }
 }
 
 /// Tracks rays through a world and counts what that takes.
@@ -158,9 +179,9 @@ impl<'a> Tracker<'a> {
         (end_m, bound_per_m * self.bound_scale)
     }
 
-    /// Extinction at a point, 1/m, its scattering part, and the densest layer.
-    fn extinction(&mut self, stretch: &Stretch, position_m: DVec3) -> (f64, f64, usize) {
-        let (mut extinction, mut scattering, mut densest) = (0.0, 0.0, (0.0, 0));
+    /// Extinction at a point, 1/m, its scattering part by layer, and the densest layer.
+    fn extinction(&mut self, stretch: &Stretch, position_m: DVec3) -> (f64, [f64; LAYERS], usize) {
+        let (mut extinction, mut scattering, mut densest) = (0.0, [0.0; LAYERS], (0.0, 0));
         for (place, layer) in self.world.layers().iter().enumerate() {
             if !stretch.inside[place] {
                 continue;
@@ -173,7 +194,7 @@ impl<'a> Tracker<'a> {
             };
             let own = density * layer.extinction_per_m;
             extinction += own;
-            scattering += own * layer.albedo;
+            scattering[place] = own * layer.albedo;
             if own > densest.0 {
                 densest = (own, place);
             }
@@ -199,7 +220,7 @@ impl<'a> Tracker<'a> {
                     at_m += left / bound_per_m;
                     left = random.exponential();
                     let position_m = course.ray.at(at_m);
-                    let (extinction_per_m, scattering_per_m, layer) =
+                    let (extinction_per_m, scattering_by_layer_per_m, layer) =
                         self.extinction(&stretch, position_m);
                     if extinction_per_m > bound_per_m * (1.0 + 1e-12) {
                         self.above_majorant += 1;
@@ -208,9 +229,10 @@ impl<'a> Tracker<'a> {
                         distance_m: at_m,
                         position_m,
                         extinction_per_m,
-                        scattering_per_m,
+                        scattering_per_m: scattering_by_layer_per_m.iter().sum(),
                         bound_per_m,
                         layer,
+                        scattering_by_layer_per_m,
                     };
                     if visited(&tentative, random).is_break() {
                         return;
@@ -236,6 +258,7 @@ impl<'a> Tracker<'a> {
                 position_m: at.position_m,
                 albedo: at.scattering_per_m / at.extinction_per_m,
                 layer: at.layer,
+                scatterer: at.scatterer(random),
             });
             ControlFlow::Break(())
         });

@@ -3,6 +3,7 @@
 mod closed_forms;
 mod disort;
 mod furnace;
+mod overlap;
 mod phases;
 mod single_scattering;
 mod support;

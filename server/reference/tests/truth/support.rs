@@ -3,6 +3,7 @@
 use glam::DVec3;
 use serde_json::{Value, json};
 use skycell_protocol::Scene;
+use skycell_protocol::scene::WeatherProfile;
 use skycell_reference::{
     Approximations, ByteVolume, Field, LayerField, Noise, Ray, TexelMap, WeatherMaps, World,
     WorldSettings,
@@ -111,6 +112,7 @@ pub(crate) fn weather_field() -> Field {
     for t in 0..64 {
         for h in 0..128 {
             let value = skycell_reference::density::profile::vertical_profile(
+                WeatherProfile::Low,
                 (f64::from(t) + 0.5) / 64.0,
                 (f64::from(h) + 0.5) / 128.0,
             );
