@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use reqwest::{Method, Response, StatusCode, header};
 use serde::Deserialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 use skycell_protocol::scene::MapKind;
 use thiserror::Error;
 
@@ -130,6 +130,13 @@ fn problem_text(problem: &Problem) -> String {
     text
 }
 
+fn json_of(url: &reqwest::Url, body: &[u8]) -> Result<Value, HttpApiError> {
+    serde_json::from_slice(body).map_err(|error| HttpApiError::BadAnswer {
+        url: url.to_string(),
+        reason: format!("the answer is not JSON: {error}"),
+    })
+}
+
 /// A client of a server's HTTP API. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct HttpApi {
@@ -246,6 +253,53 @@ impl HttpApi {
             url.query_pairs_mut().append_pair("transition_s", &seconds);
         }
         url
+    }
+
+    /// What stands at a path of the API, such as `api/v1/presets`.
+    ///
+    /// # Errors
+    /// If the server is not there or its answer is not JSON.
+    pub async fn get_json(&self, path: &str) -> Result<Value, HttpApiError> {
+        let url = self.address.http_url(path);
+        let request = self.client.get(url.clone());
+        let (_, body) = self.answer(request, Method::GET, &url).await?;
+        json_of(&url, &body)
+    }
+
+    /// Changes the sky's clock, whatever it shows now: an object with `sky_s`, `date`, `rate`, `wind_rate` or `paused`.
+    ///
+    /// # Errors
+    /// [`HttpApiError::Refused`] with 422 if a value is not allowed.
+    pub async fn change_time(&self, change: &Value) -> Result<Value, HttpApiError> {
+        self.send_json(Method::PUT, "api/v1/scene/time", change)
+            .await
+    }
+
+    /// Makes the sky a preset's, on the way there for `transition_s`; answers the document.
+    ///
+    /// # Errors
+    /// [`HttpApiError::Refused`] with 422 if there is no such preset or the time is out of range.
+    pub async fn set_preset(&self, name: &str, transition_s: f64) -> Result<Value, HttpApiError> {
+        let choice = json!({"name": name, "transition_s": transition_s});
+        self.send_json(Method::POST, "api/v1/scene/preset", &choice)
+            .await
+    }
+
+    async fn send_json(
+        &self,
+        method: Method,
+        path: &str,
+        value: &Value,
+    ) -> Result<Value, HttpApiError> {
+        let url = self.address.http_url(path);
+        let request = self
+            .client
+            .request(method.clone(), url.clone())
+            .header(header::CONTENT_TYPE, "application/json")
+            .header(header::IF_MATCH, "*")
+            .body(value.to_string());
+        let (_, body) = self.answer(request, method, &url).await?;
+        json_of(&url, &body)
     }
 
     /// The server's counters.

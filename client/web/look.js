@@ -126,7 +126,7 @@ export function compassPoint(yaw_deg) {
  * @param {Camera} options.camera  where to start; also where the key Home leads
  * @param {() => number} options.pictureHeight  height of the picture as shown, CSS pixels
  * @param {(camera: Camera) => void} options.onChange
- * @returns {{ camera: () => Camera, stop: () => void }}
+ * @returns {{ camera: () => Camera, setCamera: (camera: Camera) => void, stop: () => void }}
  */
 export function attachLook(element, { camera: home, pictureHeight, onChange }) {
   let camera = { ...home };
@@ -200,5 +200,5 @@ export function attachLook(element, { camera: home, pictureHeight, onChange }) {
     { signal },
   );
 
-  return { camera: () => ({ ...camera }), stop: () => listeners.abort() };
+  return { camera: () => ({ ...camera }), setCamera: (next) => change({ ...next }), stop: () => listeners.abort() };
 }

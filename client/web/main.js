@@ -10,6 +10,7 @@ import { connect } from "./connection.js";
 import { attachMaps } from "./maps.js";
 import { attachLook, clamp, compassPoint } from "./look.js";
 import { pictureSize } from "./picture-size.js";
+import { attachSkyControls } from "./sky-controls.js";
 import { createView } from "./view.js";
 import { drawBar, fetchViews, tick } from "./views.js";
 
@@ -229,6 +230,22 @@ connection.onStatus((status) => {
   }
 });
 showHeading();
+
+attachSkyControls(
+  {
+    preset: element("preset", HTMLSelectElement),
+    transition: element("transition", HTMLSelectElement),
+    pause: element("pause", HTMLButtonElement),
+    pace: element("pace", HTMLSelectElement),
+    hour: element("hour", HTMLInputElement),
+    hour_text: element("hour-text", HTMLElement),
+    sky_time: element("sky-time", HTMLElement),
+  },
+  {
+    onCamera: look.setCamera,
+    onProblem: (text) => write("sky-problem", text),
+  },
+);
 
 // For tests and the console.
 Object.defineProperty(window, "skycell", {

@@ -2,6 +2,13 @@
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use skycell_protocol::Moment;
+
+/// This moment, by this machine's clock: what every server of a sky reckons sky time from.
+pub fn now() -> Moment {
+    Moment::from_unix_us(i64::try_from(unix_now_us()).unwrap_or(i64::MAX))
+}
+
 /// Microseconds since 1970, by this machine's clock. 0 if that clock stands before 1970.
 pub fn unix_now_us() -> u64 {
     SystemTime::now()

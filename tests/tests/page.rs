@@ -141,6 +141,78 @@ async fn the_page_shows_the_sky_looks_around_and_shares_it_with_a_second_tab() -
     Ok(())
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn the_page_sets_presets_stops_the_sky_and_moves_the_sun() -> anyhow::Result<()> {
+    let Some(program) = Browser::find() else {
+        eprintln!("SKIPPED page test: no chromium in PATH");
+        return Ok(());
+    };
+    let server = Server::start_calm().await?;
+    let browser = Browser::start(&program).await?;
+    let tab = browser
+        .open(&server.url("?width=240&height=135&fps=10"))
+        .await?;
+    tab.wait_for(SHOWS_FRAMES).await?;
+    let text = |id: &str| format!("document.getElementById('{id}').textContent");
+    let put = |id: &str, value: &str, event: &str| {
+        format!(
+            "(() => {{ const control = document.getElementById('{id}'); control.value = '{value}'; \
+             control.dispatchEvent(new Event('{event}')); return true; }})()"
+        )
+    };
+    tab.wait_for("document.getElementById('preset').options.length > 10")
+        .await?;
+    tab.wait_for(&format!("/^[0-9:]+$/.test({})", text("sky-time")))
+        .await?;
+
+    // A preset comes with its camera.
+    let before = tab
+        .evaluate("window.skycell.status.header.scene_revision")
+        .await?;
+    tab.evaluate(&put("transition", "0", "change")).await?;
+    tab.evaluate(&put("preset", "cirrus-evening", "change"))
+        .await?;
+    tab.wait_for(&format!(
+        "window.skycell.status.header.scene_revision > {before}"
+    ))
+    .await?;
+    let presets = server.get("api/v1/presets").await?;
+    let evening = presets
+        .as_array()
+        .and_then(|presets| presets.iter().find(|p| p["name"] == "cirrus-evening"))
+        .context("the preset")?;
+    let yaw_deg = tab.evaluate("window.skycell.camera.yaw_deg").await?;
+    assert_eq!(yaw_deg.as_f64(), evening["camera"]["yaw_deg"].as_f64());
+
+    // Pause, and another hour: the sun stands by the clock from then on.
+    tab.evaluate("document.getElementById('pause').click()")
+        .await?;
+    tab.wait_for(&format!("{} === 'Resume'", text("pause")))
+        .await?;
+    assert_eq!(clock_of(&server).await?["paused"], true);
+    tab.evaluate(&put("hour", "9.5", "change")).await?;
+    tab.wait_for(&format!("{} === '09:30'", text("hour-text")))
+        .await?;
+    let time = clock_of(&server).await?;
+    let date = time["date"].as_str().context("a date")?;
+    assert!(date.contains("T09:30") || date.contains("T09:29"), "{date}");
+    tab.evaluate(&put("pace", "24", "change")).await?;
+    tab.wait_for("document.getElementById('pace').value === '24'")
+        .await?;
+    let file = target_dir()?
+        .join("page-screenshots")
+        .join("sky-controls.png");
+    tab.screenshot(&file).await?;
+    assert_eq!(tab.evaluate(&text("sky-problem")).await?, "");
+    let errors = browser.console_errors();
+    assert!(errors.is_empty(), "errors on the console: {errors:#?}");
+    Ok(())
+}
+
+async fn clock_of(server: &Server) -> anyhow::Result<serde_json::Value> {
+    server.get("api/v1/scene/time").await
+}
+
 fn assert_shows_a_sky(file: &Path, canvas: [f64; 4]) -> anyhow::Result<()> {
     let page = image::open(file)?.to_rgb8();
     // The middle half of the canvas: no text of the page.

@@ -16,7 +16,9 @@ Examples:
   skycell scene patch '{\"wind\": {\"speed_m_per_s\": 12}}'
   skycell scene patch - < patch.json
   skycell scene watch --changes 3
-  skycell scene map put coverage storm.png --transition-s 60";
+  skycell scene map put coverage storm.png --transition-s 60
+  skycell scene time --pause
+  skycell scene preset set broken-sunset --transition-s 20";
 
 /// Reads, changes or watches the scene.
 #[derive(Debug, clap::Args)]
@@ -67,6 +69,87 @@ enum Command {
         #[arg(long, value_name = "SECONDS", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=3600))]
         every_s: u64,
     },
+    /// Prints the sky's clock, after changing it if told to.
+    #[command(
+        after_help = "Examples:\n  skycell scene time\n  skycell scene time --rate 24 --wind-rate 1   # a day in an hour\n  \
+                      skycell scene time --date 2026-06-21T18:30:00Z --pause"
+    )]
+    Time(TimeArguments),
+    /// Skies by name.
+    #[command(
+        after_help = "Examples:\n  skycell scene preset list\n  skycell scene preset set storm --transition-s 30"
+    )]
+    Preset {
+        #[command(subcommand)]
+        command: PresetCommand,
+    },
+}
+
+#[derive(Debug, clap::Args)]
+struct TimeArguments {
+    /// Stops the sky.
+    #[arg(long, conflicts_with = "resume")]
+    pause: bool,
+    /// Lets it go on.
+    #[arg(long)]
+    resume: bool,
+    /// Sets sky time, seconds.
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        conflicts_with = "date",
+        allow_negative_numbers = true
+    )]
+    sky_s: Option<f64>,
+    /// Sets sky time by the date at the sun's place, as 2026-06-21T18:30:00Z.
+    #[arg(long, value_name = "DATE")]
+    date: Option<String>,
+    /// Seconds of sky time in a second; 24 shows a day in an hour.
+    #[arg(long, allow_negative_numbers = true)]
+    rate: Option<f64>,
+    /// Seconds of wind in a second.
+    #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
+    wind_rate: Option<f64>,
+}
+
+impl TimeArguments {
+    /// What is to be changed, as the API takes it.
+    fn change(&self) -> Value {
+        let mut change = serde_json::Map::new();
+        if self.pause || self.resume {
+            change.insert("paused".into(), self.pause.into());
+        }
+        let numbers = [
+            ("sky_s", self.sky_s),
+            ("rate", self.rate),
+            ("wind_rate", self.wind_rate),
+        ];
+        for (key, number) in numbers {
+            if let Some(number) = number {
+                change.insert(key.into(), number.into());
+            }
+        }
+        if let Some(date) = &self.date {
+            change.insert("date".into(), date.as_str().into());
+        }
+        Value::Object(change)
+    }
+}
+
+#[derive(Debug, Subcommand)]
+enum PresetCommand {
+    /// Lists their names and what is seen.
+    #[command(after_help = "Example:\n  skycell scene preset list --json")]
+    List,
+    /// Makes the sky one of them.
+    #[command(after_help = "Example:\n  skycell scene preset set mackerel-sky --transition-s 20")]
+    Set {
+        /// Its name.
+        name: String,
+        /// How long the sky takes to get there.
+        #[arg(long, value_name = "SECONDS", default_value_t = 10.0)]
+        transition_s: f64,
+    },
 }
 
 /// A server may be away this often in a row, as while it is started anew.
@@ -97,7 +180,70 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
             let end = Instant::now() + Duration::from_secs(for_s);
             watch(&api, json, changes, end, Duration::from_secs(every_s)).await
         }
+        Command::Time(time) => {
+            let change = time.change();
+            let is_empty = change.as_object().is_none_or(serde_json::Map::is_empty);
+            let report = if is_empty {
+                api.get_json("api/v1/scene/time").await?
+            } else {
+                api.change_time(&change).await?
+            };
+            print_line(&if json {
+                report.to_string()
+            } else {
+                time_text(&report)
+            })
+        }
+        Command::Preset {
+            command: PresetCommand::List,
+        } => {
+            let presets = api.get_json("api/v1/presets").await?;
+            if json {
+                return print_line(&presets.to_string());
+            }
+            for preset in presets.as_array().into_iter().flatten() {
+                let text = |key: &str| preset[key].as_str().unwrap_or_default();
+                print_line(&format!("{:<24}{}", text("name"), text("about")))?;
+            }
+            Ok(())
+        }
+        Command::Preset {
+            command: PresetCommand::Set { name, transition_s },
+        } => {
+            let document = api.set_preset(&name, transition_s).await?;
+            if json {
+                return print_line(&document.to_string());
+            }
+            print_line(&format!("{name} in {transition_s} s"))
+        }
     }
+}
+
+/// The clock in a line.
+fn time_text(report: &Value) -> String {
+    let number = |pointer: &str| {
+        report
+            .pointer(pointer)
+            .and_then(Value::as_f64)
+            .unwrap_or_default()
+    };
+    let date = report["date"].as_str().map(|date| format!(" ({date})"));
+    let state = if report["paused"] == true {
+        "paused".to_owned()
+    } else {
+        format!(
+            "{} s of sky and {} s of wind in a second",
+            number("/rate"),
+            number("/wind_rate")
+        )
+    };
+    format!(
+        "sky time {:.1} s{}, {state}; sun at azimuth {:.1}°, elevation {:.1}°",
+        number("/sky_s"),
+        date.unwrap_or_default(),
+        number("/sun/azimuth_deg"),
+        number("/sun/elevation_deg"),
+    )
 }
 
 fn read_patch(text: &str) -> anyhow::Result<Value> {

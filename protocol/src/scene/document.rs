@@ -6,6 +6,9 @@ use serde_json::Value;
 
 use super::family::{Family, WeatherPattern, WeatherProfile};
 use super::maps::MapsDocument;
+use super::timeline::{
+    AnimationDocument, Drift, PlaceAndTimeDocument, TimeDocument, TransitionDocument,
+};
 use super::tone::ToneDocument;
 use crate::ValueError;
 use crate::quality::QualityChoice;
@@ -37,6 +40,15 @@ document! {
         "tone" => tone: ToneDocument = ToneDocument::default(),
         /// How good pictures are to be for viewers who do not say; null for what the server is configured to.
         "quality" => quality: Option<QualityChoice> = None,
+        /// The sky's clock.
+        "time" => time: TimeDocument = TimeDocument::default(),
+        /// Numbers that change with sky time, at most 32.
+        "animation" => animation: Vec<AnimationDocument> = Vec::new(),
+        /// The sky that this one comes from, for a while; null when it is there.
+        "transition" => transition: Option<TransitionDocument> = None,
+        /// Where the wind had carried the clouds when wind or clock were last changed, which servers write; null for sky
+        /// time × wind.
+        "drift" => drift: Option<Drift> = None,
     }
 }
 
@@ -97,6 +109,8 @@ document! {
         "azimuth_deg" => azimuth_deg: f64 = 150.0,
         /// Above the horizon, towards the sun.
         "elevation_deg" => elevation_deg: f64 = 40.0,
+        /// A place and a date that say where the sun stands instead of the two angles; null for the angles.
+        "place_and_time" => place_and_time: Option<PlaceAndTimeDocument> = None,
         /// Red (680 nm), green (550 nm) and blue (440 nm) above the atmosphere. The default is the
         /// sun's: Bruneton 2017, precomputed_atmospheric_scattering, demo.cc `kSolarIrradiance`.
         "irradiance_w_per_m2_nm" => irradiance_w_per_m2_nm: [f64; 3] = [1.474, 1.8504, 1.91198],

@@ -95,6 +95,10 @@ impl CloudLayer {
             _ => self == other,
         }
     }
+
+    pub(super) fn set_wind(&mut self, wind: Wind) {
+        self.wind = Some(wind);
+    }
 }
 
 impl TryFrom<LayerDocument> for CloudLayer {

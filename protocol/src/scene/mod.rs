@@ -10,6 +10,7 @@ pub mod ranges;
 mod sky;
 #[cfg(test)]
 mod tests;
+mod timeline;
 mod tone;
 
 use serde_json::Value;
@@ -28,6 +29,12 @@ pub use light::{Light, PhaseFunction};
 pub use maps::{MapFiles, MapKind, MapsDocument};
 pub use sky::{
     AnalyticAtmosphere, Atmosphere, FLAT_RADIUS_M, Planet, Sun, UniformAtmosphere, Wind,
+};
+use timeline::Timeline;
+pub use timeline::{
+    Animation, AnimationDocument, Drift, Ease, KeyframeDocument, PlaceAndTime,
+    PlaceAndTimeDocument, Repeat, SkyClock, StillSceneDocument, TimeChange, TimeDocument,
+    Transition, TransitionDocument,
 };
 
 pub use tone::{AutoExposure, AutoExposureDocument, ToneCurve, ToneDocument, ToneMapping};
@@ -51,6 +58,7 @@ pub struct Scene {
     exposure_ev: f64,
     tone: ToneMapping,
     quality: Option<QualityChoice>,
+    timeline: Timeline,
 }
 
 impl Scene {
@@ -64,7 +72,7 @@ impl Scene {
 
     /// The scene as a document with every key.
     pub fn to_document(&self) -> SceneDocument {
-        SceneDocument {
+        let mut document = SceneDocument {
             version: SCENE_VERSION,
             planet: (&self.planet).into(),
             sun: (&self.sun).into(),
@@ -75,7 +83,10 @@ impl Scene {
             exposure_ev: self.exposure_ev,
             tone: (&self.tone).into(),
             quality: self.quality,
-        }
+            ..SceneDocument::default()
+        };
+        self.timeline.write_to(&mut document);
+        document
     }
 
     /// The ground sphere.
@@ -153,6 +164,7 @@ impl TryFrom<SceneDocument> for Scene {
                 SCENE_VERSION.to_string(),
             ));
         }
+        let timeline = Timeline::of(&document)?;
         Ok(Self {
             planet: Planet::try_from(document.planet).map_err(|e| e.under("/planet"))?,
             sun: Sun::try_from(document.sun).map_err(|e| e.under("/sun"))?,
@@ -167,6 +179,7 @@ impl TryFrom<SceneDocument> for Scene {
                 .quality
                 .map(|quality| quality.checked("/quality"))
                 .transpose()?,
+            timeline,
         })
     }
 }

@@ -48,7 +48,7 @@ pub const DETAIL_PERIOD_M: NumberRange = NumberRange::new(10.0, 1.0e4);
 pub const DETAIL_STRENGTH: NumberRange = NumberRange::new(0.0, 1.0);
 /// `evolution_m_per_s`
 pub const EVOLUTION_M_PER_S: NumberRange = NumberRange::new(-50.0, 50.0);
-/// `transition_s` of maps: a day at most
+/// `transition_s` of maps and `/transition/duration_s`: a day at most
 pub const TRANSITION_S: NumberRange = NumberRange::new(0.0, 86_400.0);
 /// `optical_depth` of a sheet of ice
 pub const SHEET_OPTICAL_DEPTH: NumberRange = NumberRange::new(0.0, 100.0);
@@ -80,3 +80,17 @@ pub const WIND_SPEED_M_PER_S: NumberRange = NumberRange::new(0.0, 200.0);
 pub const ADAPTATION_S: NumberRange = NumberRange::new(0.0, 60.0);
 /// `/exposure_ev`, and `min_ev` and `max_ev` of `/tone/auto_exposure`
 pub const EXPOSURE_EV: NumberRange = NumberRange::new(-30.0, 30.0);
+/// `/sun/place_and_time/latitude_deg`
+pub const LATITUDE_DEG: NumberRange = NumberRange::new(-90.0, 90.0);
+/// `/sun/place_and_time/longitude_deg`
+pub const LONGITUDE_DEG: NumberRange = NumberRange::new(-180.0, 180.0);
+/// Sky times: about 3000 years before and after
+pub const SKY_TIME_S: NumberRange = NumberRange::new(-1.0e11, 1.0e11);
+/// `rate` and `wind_rate` of `/time`: at the ends a day passes in less than a second
+pub const TIME_RATE: NumberRange = NumberRange::new(-1.0e5, 1.0e5);
+/// How many animations a scene may have.
+pub const ANIMATIONS_MAX: usize = 32;
+/// How many keyframes an animation may have; at least one.
+pub const KEYFRAMES_MAX: usize = 64;
+/// How far the wind may have carried clouds along an axis: beyond, places have less than a millimetre's digits
+pub const DRIFT_M: NumberRange = NumberRange::new(-1.0e12, 1.0e12);

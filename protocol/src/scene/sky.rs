@@ -7,6 +7,7 @@ use super::document::{
     UniformAtmosphereDocument, WindDocument,
 };
 use super::ranges;
+use super::timeline::PlaceAndTime;
 use crate::ValueError;
 use crate::camera::direction_of_angles;
 
@@ -76,6 +77,7 @@ impl From<&Planet> for PlanetChoice {
 pub struct Sun {
     azimuth_deg: f64,
     elevation_deg: f64,
+    place_and_time: Option<PlaceAndTime>,
     irradiance_w_per_m2_nm: [f64; 3],
 }
 
@@ -88,6 +90,18 @@ impl Sun {
     /// Above the horizon, towards the sun.
     pub fn elevation_deg(&self) -> f64 {
         self.elevation_deg
+    }
+
+    /// The place and the date that move the sun, if any do: [`super::Scene::at`] sets the angles by them.
+    pub fn place_and_time(&self) -> Option<&PlaceAndTime> {
+        self.place_and_time.as_ref()
+    }
+
+    /// Leaves the sun where it stands at a sky time.
+    pub(super) fn stand_at(&mut self, sky_s: f64) {
+        if let Some(place) = self.place_and_time.take() {
+            [self.azimuth_deg, self.elevation_deg] = place.sun_azimuth_elevation_deg(sky_s);
+        }
     }
 
     /// Red, green and blue above the atmosphere.
@@ -108,6 +122,11 @@ impl TryFrom<SunDocument> for Sun {
         Ok(Self {
             azimuth_deg: ranges::AZIMUTH_DEG.check("/azimuth_deg", document.azimuth_deg)?,
             elevation_deg: ranges::ELEVATION_DEG.check("/elevation_deg", document.elevation_deg)?,
+            place_and_time: document
+                .place_and_time
+                .map(PlaceAndTime::try_from)
+                .transpose()
+                .map_err(|error| error.under("/place_and_time"))?,
             irradiance_w_per_m2_nm: ranges::IRRADIANCE_W_PER_M2_NM
                 .check_each("/irradiance_w_per_m2_nm", document.irradiance_w_per_m2_nm)?,
         })
@@ -119,6 +138,7 @@ impl From<&Sun> for SunDocument {
         Self {
             azimuth_deg: sun.azimuth_deg,
             elevation_deg: sun.elevation_deg,
+            place_and_time: sun.place_and_time.as_ref().map(Into::into),
             irradiance_w_per_m2_nm: sun.irradiance_w_per_m2_nm,
         }
     }
@@ -210,6 +230,18 @@ impl Wind {
     /// Horizontal velocity of the clouds in world axes.
     pub fn velocity_m_per_s(&self) -> DVec3 {
         direction_of_angles(self.towards_deg, 0.0) * self.speed_m_per_s
+    }
+}
+
+impl Wind {
+    /// The wind at a share of the way to another one; between opposite winds it calms down.
+    pub(super) fn towards(&self, other: &Self, share: f64) -> Self {
+        let velocity = self.velocity_m_per_s() * (1.0 - share) + other.velocity_m_per_s() * share;
+        Self {
+            // North is -z, east is +x.
+            towards_deg: velocity.x.atan2(-velocity.z).to_degrees(),
+            speed_m_per_s: velocity.length(),
+        }
     }
 }
 

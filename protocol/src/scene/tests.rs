@@ -20,7 +20,7 @@ fn the_default_document_is_pinned() {
         "version": 1,
         "planet": {"radius_m": 6360000.0, "ground_albedo": 0.1},
         "sun": {
-            "azimuth_deg": 150.0, "elevation_deg": 40.0,
+            "azimuth_deg": 150.0, "elevation_deg": 40.0, "place_and_time": null,
             "irradiance_w_per_m2_nm": [1.474, 1.8504, 1.91198]
         },
         "atmosphere": {"model": "analytic", "aerosol_optical_depth": 0.08},
@@ -45,7 +45,14 @@ fn the_default_document_is_pinned() {
         "wind": {"towards_deg": 90.0, "speed_m_per_s": 5.0},
         "exposure_ev": 0.0,
         "tone": {"curve": "aces", "auto_exposure": null},
-        "quality": null
+        "quality": null,
+        "time": {
+            "epoch": "1970-01-01T00:00:00Z", "sky_s_at_epoch": 0.0, "rate": 1.0,
+            "paused_at": null, "wind_rate": null
+        },
+        "animation": [],
+        "transition": null,
+        "drift": null
     });
     assert_eq!(
         serde_json::to_value(SceneDocument::default()).expect("serialises"),

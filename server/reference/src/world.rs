@@ -178,7 +178,7 @@ impl World {
                     layer.base_altitude_m(),
                     thickness_m,
                     settings.approximations.detail_noise,
-                    weather.evolution_m_per_s() * settings.time_s,
+                    scene.carried_m(scene_index).y + weather.evolution_m_per_s() * settings.time_s,
                 )),
                 DensityModel::Homogeneous(Shape::Layer) => Medium::Full,
                 DensityModel::Homogeneous(Shape::Box { center_m, size_m }) => Medium::Box {
@@ -200,7 +200,8 @@ impl World {
                     0.5
                 }
             };
-            let drift_m = scene.layer_wind(scene_index).velocity_m_per_s() * settings.time_s;
+            let drift_m = scene.carried_m(scene_index).with_y(0.0)
+                + scene.layer_wind(scene_index).velocity_m_per_s() * settings.time_s;
             layers.push(WorldLayer {
                 scene_index,
                 base_altitude_m: layer.base_altitude_m(),

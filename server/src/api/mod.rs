@@ -3,8 +3,10 @@
 mod figures;
 mod maps;
 mod page;
+mod presets;
 mod problem;
 mod scene;
+mod scene_time;
 
 use std::any::Any;
 use std::sync::Arc;
@@ -19,7 +21,7 @@ use axum::http::header::{
 use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::map_response;
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, post};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::limit::RequestBodyLimitLayer;
 use tower_http::set_header::SetResponseHeaderLayer;
@@ -49,6 +51,15 @@ pub fn router(context: Arc<StreamContext>) -> Router {
     let router = Router::new()
         .route("/ws", get(stream::upgrade))
         .route("/api/v1/scene", get(scene::get).patch(scene::patch))
+        .route(
+            "/api/v1/scene/time",
+            get(scene_time::get).put(scene_time::put),
+        )
+        .route("/api/v1/scene/now", get(scene_time::now))
+        .route("/api/v1/scene/events", get(scene_time::events))
+        .route("/api/v1/scene/preset", post(presets::set))
+        .route("/api/v1/presets", get(presets::list))
+        .route("/api/v1/presets/{name}", get(presets::get))
         .route("/api/v1/cells", get(figures::cells))
         .route("/api/v1/viewers", get(figures::viewers))
         .route("/api/v1/stats", get(figures::stats))

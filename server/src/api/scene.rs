@@ -14,10 +14,11 @@ use axum::response::{IntoResponse, Response};
 use serde_json::Value;
 
 use super::{Problem, maps};
-use crate::scene::{Precondition, ScenePatchError, SceneSnapshot};
+use crate::scene::{Precondition, ScenePatchError, SceneSnapshot, SceneStore};
 use crate::stream::StreamContext;
 
 const MERGE_PATCH: &str = "application/merge-patch+json";
+const JSON: &str = "application/json";
 const ACCEPT_PATCH: HeaderName = HeaderName::from_static("accept-patch");
 
 /// The whole document.
@@ -51,7 +52,7 @@ pub(super) async fn patch(
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Response, Problem> {
-    check_content_type(&headers)?;
+    check_content_type(&headers, MERGE_PATCH)?;
     let precondition = read_precondition(&headers)?;
     let body = body.map_err(|rejection| Problem::new(rejection.status(), rejection.body_text()))?;
     let patch: Value = serde_json::from_slice(&body).map_err(|error| {
@@ -60,23 +61,50 @@ pub(super) async fn patch(
             format!("the patch is not JSON: {error}"),
         )
     })?;
+    let snapshot = change(&context, move |scene| scene.patch(&precondition, &patch)).await?;
+    Ok(document(&snapshot))
+}
+
+/// Changes the scene where waiting for the disk, which may be slow, holds nobody up.
+pub(super) async fn change(
+    context: &StreamContext,
+    change: impl FnOnce(&SceneStore) -> Result<SceneSnapshot, ScenePatchError> + Send + 'static,
+) -> Result<SceneSnapshot, Problem> {
     let scene = Arc::clone(&context.scene);
-    // Waits for the disk, which may be slow.
-    let result = tokio::task::spawn_blocking(move || scene.patch(&precondition, &patch)).await;
-    match result {
+    match tokio::task::spawn_blocking(move || change(&scene)).await {
         Ok(Ok(snapshot)) => {
-            tracing::info!(revision = snapshot.revision, "scene patched");
-            Ok(document(&snapshot))
+            tracing::info!(revision = snapshot.revision, "scene changed");
+            Ok(snapshot)
         }
         Ok(Err(error)) => Err(problem_of(error)),
         Err(error) => {
-            tracing::error!(%error, "patching the scene failed");
+            tracing::error!(%error, "changing the scene failed");
             Err(Problem::new(
                 StatusCode::INTERNAL_SERVER_ERROR,
                 "the server failed; its log tells why",
             ))
         }
     }
+}
+
+/// Reads a body of `application/json`.
+pub(super) fn read_json_body(
+    headers: &HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Result<Value, Problem> {
+    check_content_type(headers, JSON)?;
+    let body = body.map_err(|rejection| Problem::new(rejection.status(), rejection.body_text()))?;
+    serde_json::from_slice(&body).map_err(|error| {
+        Problem::new(
+            StatusCode::BAD_REQUEST,
+            format!("the body is not JSON: {error}"),
+        )
+    })
+}
+
+/// The revision as a header.
+pub(super) fn etag(snapshot: &SceneSnapshot) -> [(HeaderName, String); 1] {
+    [(ETAG, tag_of(snapshot.revision))]
 }
 
 pub(super) fn document(snapshot: &SceneSnapshot) -> Response {
@@ -94,23 +122,27 @@ pub(super) fn tag_of(revision: u64) -> String {
     format!("\"{revision}\"")
 }
 
-fn check_content_type(headers: &HeaderMap) -> Result<(), Problem> {
+fn check_content_type(headers: &HeaderMap, wanted: &'static str) -> Result<(), Problem> {
     let essence = headers
         .get(CONTENT_TYPE)
         .and_then(|header| header.to_str().ok())
         .and_then(|text| text.split(';').next())
         .unwrap_or_default()
         .trim();
-    if essence.eq_ignore_ascii_case(MERGE_PATCH) {
+    if essence.eq_ignore_ascii_case(wanted) {
         return Ok(());
     }
     let found = if essence.is_empty() { "none" } else { essence };
-    Err(Problem::new(
+    let problem = Problem::new(
         StatusCode::UNSUPPORTED_MEDIA_TYPE,
-        format!("Content-Type must be {MERGE_PATCH}; found: {found}"),
+        format!("Content-Type must be {wanted}; found: {found}"),
     )
-    .with_header(ACCEPT_PATCH, HeaderValue::from_static(MERGE_PATCH))
-    .with_header(ACCEPT, HeaderValue::from_static(MERGE_PATCH)))
+    .with_header(ACCEPT, HeaderValue::from_static(wanted));
+    Err(if wanted == MERGE_PATCH {
+        problem.with_header(ACCEPT_PATCH, HeaderValue::from_static(MERGE_PATCH))
+    } else {
+        problem
+    })
 }
 
 pub(super) fn read_precondition(headers: &HeaderMap) -> Result<Precondition, Problem> {

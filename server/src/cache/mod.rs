@@ -59,6 +59,7 @@ pub struct Caches {
     samples: u32,
     frame: u64,
     evicted: u64,
+    is_calm: bool,
 }
 
 impl Caches {
@@ -71,6 +72,7 @@ impl Caches {
             samples: samples.max(1),
             frame: 0,
             evicted: 0,
+            is_calm: true,
         }
     }
 
@@ -122,6 +124,43 @@ impl Caches {
         self.spheres.values().all(SphereCache::is_refreshed)
     }
 
+    /// The sky has moved, each layer by some steps, each of which is just not seen. Texels are mixed towards the present
+    /// when it is their turn; nothing is thrown away.
+    pub fn age_by(&mut self, steps_of_layers: &[f64]) {
+        for (id, sphere) in &mut self.spheres {
+            if let Some(steps) = steps_of_layers.get(id.layer as usize) {
+                sphere.age_by(*steps);
+            }
+        }
+    }
+
+    /// Whether the sky moves no more, so that texels have to come all the way to the present.
+    pub fn set_calm(&mut self, is_calm: bool) {
+        self.is_calm = is_calm;
+    }
+
+    /// Gives a cell other layers: the one at place i is the one that was at `kept[i]`, or a new one. What is not kept gives
+    /// its slots back.
+    pub fn keep_layers(&mut self, cell: CellId, kept: &[Option<u32>]) {
+        let mut old: BTreeMap<u32, SphereCache> = BTreeMap::new();
+        let ids: Vec<SphereId> = self.spheres_of(cell).map(|(id, _)| *id).collect();
+        for id in ids {
+            if let Some(sphere) = self.spheres.remove(&id) {
+                old.insert(id.layer, sphere);
+            }
+        }
+        for (layer, kept) in (0..).zip(kept) {
+            if let Some(sphere) = kept.and_then(|kept| old.remove(&kept)) {
+                self.spheres.insert(SphereId { cell, layer }, sphere);
+            }
+        }
+        for mut sphere in old.into_values() {
+            for slot in sphere.clear() {
+                self.pool.release(slot);
+            }
+        }
+    }
+
     /// A frame was composited for a cell: its wanted tiles were seen.
     pub fn frame_shown(&mut self, cell: CellId) {
         self.frame += 1;
@@ -145,7 +184,7 @@ impl Caches {
             let Some(reference) = references(*id) else {
                 continue;
             };
-            sphere.candidates(self.samples_of(sphere), reference, &mut found);
+            sphere.candidates(self.samples_of(sphere), reference, self.is_calm, &mut found);
             candidates.extend(found.drain(..).map(|candidate| (*id, reference, candidate)));
         }
         candidates.sort_unstable_by(|a, b| a.2.rank(&b.2).then(a.0.cmp(&b.0)));
@@ -213,7 +252,7 @@ impl Caches {
         let mut found = Vec::new();
         for (id, sphere) in &self.spheres {
             if let Some(reference) = references(*id) {
-                sphere.candidates(self.samples_of(sphere), reference, &mut found);
+                sphere.candidates(self.samples_of(sphere), reference, self.is_calm, &mut found);
                 if !found.is_empty() {
                     return true;
                 }

@@ -15,6 +15,17 @@ pub(super) const AGE_REFRESH_RAD: f64 = 0.012;
 pub(super) const AGE_RESTART_RAD: f64 = 0.06;
 /// Share of a sample that refreshes an aged but converged tile.
 const REFRESH_WEIGHT: f32 = 0.25;
+/// A tile is mixed towards the present sky when it is this many unseen steps behind a sky that moves, ...
+const BEHIND_MOVING: f64 = 1.0;
+/// ... and this many when the sky has come to rest.
+const BEHIND_CALM: f64 = 0.05;
+/// What nobody looks at, the coarse level, may be this many times as far behind.
+const UNSEEN_BEHIND: f64 = 4.0;
+/// How far behind a tile stays after a sample, in steps: the weight of the sample follows from it, so that a tile that is
+/// far behind catches up at once and one that is close takes little noise from one sample.
+const BEHIND_KEPT: f64 = 0.75;
+/// So far behind, a tile shows another sky: accumulation starts again.
+const BEHIND_RESTART: f64 = 16.0;
 
 /// A tile that has a slot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,6 +45,17 @@ pub(super) struct Tile {
     /// How often the clouds had changed a little.
     refreshes: u32,
     pub(super) last_seen_frame: u64,
+    /// The sky's way at the last sample, steps.
+    moved: f64,
+    /// How far behind the sky of then the mixture was, steps.
+    left: f64,
+}
+
+impl Tile {
+    /// How far behind a sky the tile is that has come a way of `moved` steps.
+    fn behind(&self, moved: f64) -> f64 {
+        self.left + (moved - self.moved)
+    }
 }
 
 impl Tile {
@@ -89,14 +111,18 @@ pub(super) struct Candidate {
     pub(super) key: TileKey,
     pub(super) urgency: Urgency,
     samples: u32,
+    /// Steps that it is behind a sky that moves.
+    behind: u32,
     eccentricity_rad: f64,
 }
 
 impl Candidate {
-    /// Order of updates: urgency, then fewest samples, then nearest to the middle of a picture.
+    /// Order of updates: urgency, then fewest samples, then farthest behind the sky, then nearest to the middle of a
+    /// picture.
     pub(super) fn rank(&self, other: &Self) -> std::cmp::Ordering {
         (self.urgency, self.samples)
             .cmp(&(other.urgency, other.samples))
+            .then(other.behind.cmp(&self.behind))
             .then(self.eccentricity_rad.total_cmp(&other.eccentricity_rad))
             .then(self.key.cmp(&other.key))
     }
@@ -124,6 +150,8 @@ pub struct SphereCache {
     evolved_m: f64,
     /// How often the clouds have changed a little.
     refreshes: u32,
+    /// The sky's way so far, in steps that are just not seen.
+    moved: f64,
     /// Samples that texels average, if not as many as those of all spheres.
     samples: Option<u32>,
     /// Whether tables must be made anew.
@@ -156,6 +184,11 @@ impl SphereCache {
                     .get(key)
                     .is_some_and(|tile| tile.refreshes == self.refreshes)
         })
+    }
+
+    /// The sky has moved by some steps.
+    pub fn age_by(&mut self, steps: f64) {
+        self.moved += steps;
     }
 
     /// Another number of samples that its texels average. More are added to those that are there.
@@ -241,14 +274,19 @@ impl SphereCache {
         })
     }
 
-    /// Samples that are missing until every wanted tile has `samples`, in tiles.
+    /// Samples that are missing until every wanted tile has `samples` and shows the present sky, in tiles.
     #[must_use]
     pub fn pending_samples(&self, samples: u32) -> u64 {
         self.wanted
             .iter()
             .map(|(key, want)| {
                 let have = self.samples_of(key).unwrap_or(0);
-                u64::from(want.samples(samples).saturating_sub(have))
+                let missing = u64::from(want.samples(samples).saturating_sub(have));
+                let behind = self
+                    .tiles
+                    .get(key)
+                    .map_or(0.0, |tile| tile.behind(self.moved));
+                missing.max(u64::from(behind > behind_max(true, want)))
             })
             .sum()
     }
@@ -273,12 +311,19 @@ impl SphereCache {
     }
 
     /// Updates that would gain something.
-    pub(super) fn candidates(&self, samples: u32, reference: DVec3, into: &mut Vec<Candidate>) {
+    pub(super) fn candidates(
+        &self,
+        samples: u32,
+        reference: DVec3,
+        is_calm: bool,
+        into: &mut Vec<Candidate>,
+    ) {
         for (key, want) in &self.wanted {
             let coarse = key.level == 0;
             let tile = self.tiles.get(key);
             let have = self.samples_of(key).unwrap_or(0);
             let samples = want.samples(samples);
+            let behind = tile.map_or(0.0, |tile| tile.behind(self.moved));
             let urgency = match tile {
                 None if coarse => Urgency::Coarse,
                 None => Urgency::Missing,
@@ -291,12 +336,14 @@ impl SphereCache {
                 Some(tile) if self.age_rad(tile, reference, want.distance_m) > AGE_REFRESH_RAD => {
                     Urgency::Aged
                 }
+                Some(_) if behind > behind_max(is_calm, want) => Urgency::Aged,
                 Some(_) => continue,
             };
             into.push(Candidate {
                 key: *key,
                 urgency,
                 samples: have,
+                behind: behind.min(f64::from(u32::MAX)) as u32,
                 eccentricity_rad: want.eccentricity_rad,
             });
         }
@@ -316,6 +363,8 @@ impl SphereCache {
                 refreshes: self.refreshes,
                 sampled: None,
                 last_seen_frame: frame,
+                moved: self.moved,
+                left: 0.0,
             },
         );
     }
@@ -331,7 +380,8 @@ impl SphereCache {
         let age_rad = self.age_rad(self.tiles.get(&key)?, reference, distance_m);
         let tile = self.tiles.get_mut(&key)?;
         let stale = tile.visits == 0 || tile.generation != self.generation;
-        if stale || age_rad > AGE_RESTART_RAD {
+        let behind = tile.behind(self.moved);
+        if stale || age_rad > AGE_RESTART_RAD || behind > BEHIND_RESTART {
             tile.samples = 0;
         }
         let weight = if tile.samples < samples {
@@ -339,6 +389,17 @@ impl SphereCache {
         } else {
             REFRESH_WEIGHT
         };
+        let weight = if behind > 0.0 {
+            weight.max((1.0 - BEHIND_KEPT / behind) as f32)
+        } else {
+            weight
+        };
+        tile.left = if tile.samples == 0 {
+            0.0
+        } else {
+            behind * f64::from(1.0 - weight)
+        };
+        tile.moved = self.moved;
         let index = if tile.samples < samples {
             tile.samples
         } else {
@@ -387,6 +448,11 @@ impl SphereCache {
             .collect()
     }
 
+    /// The tables are to be made anew.
+    pub fn tables_change(&mut self) {
+        self.tables_changed = true;
+    }
+
     /// Whether tables have changed since this was last asked.
     pub fn take_tables_changed(&mut self) -> bool {
         std::mem::take(&mut self.tables_changed)
@@ -425,5 +491,15 @@ impl SphereCache {
             before = Some(start);
         }
         tables
+    }
+}
+
+/// How many steps a tile may be behind the sky before it is marched again.
+fn behind_max(is_calm: bool, want: &Want) -> f64 {
+    let steps = if is_calm { BEHIND_CALM } else { BEHIND_MOVING };
+    if want.viewers == 0 {
+        UNSEEN_BEHIND * steps
+    } else {
+        steps
     }
 }

@@ -219,3 +219,63 @@ fn noise_that_rises_ages_tiles_as_a_reference_that_moves_as_far() {
     let risen = move |_: SphereId| Some(DVec3::Y * 2.0 * (refresh_m + restart_m));
     assert!(caches.has_work(risen));
 }
+
+#[test]
+fn a_sky_that_moves_mixes_its_tiles_towards_the_present_and_then_rests() {
+    let mut caches = Caches::new(4, 8);
+    let tiles = [request(tile(1, 0, 0)), request(tile(1, 1, 0))];
+    caches.sphere_mut(SPHERE).set_wanted(&[], &tiles);
+    updates_until_converged(&mut caches);
+    caches.set_calm(false);
+    caches.age_by(&[0.9]);
+    assert!(caches.plan(2, at_origin).is_empty(), "nobody sees it yet");
+    caches.age_by(&[0.9]);
+    let updates = caches.plan(2, at_origin);
+    assert_eq!(updates.len(), 2);
+    for update in &updates {
+        let expected = (1.0 - 0.75 / 1.8) as f32;
+        assert!((update.weight - expected).abs() < 1e-6, "{}", update.weight);
+    }
+    assert!(
+        caches.plan(2, at_origin).is_empty(),
+        "less than a step is left"
+    );
+    // At rest what is left of the past goes, by a quarter each time: 0.75 · 0.75^n < 0.05.
+    caches.set_calm(true);
+    assert_eq!(updates_until_converged(&mut caches), 2 * 10);
+    let sphere = caches.sphere(SPHERE).expect("there");
+    assert_eq!(sphere.pending_samples(8), 0);
+}
+
+#[test]
+fn a_sky_far_from_the_one_that_was_marched_starts_anew() {
+    let mut caches = Caches::new(4, 8);
+    caches
+        .sphere_mut(SPHERE)
+        .set_wanted(&[], &[request(tile(1, 0, 0))]);
+    updates_until_converged(&mut caches);
+    caches.age_by(&[1000.0]);
+    let update = caches.plan(1, at_origin)[0];
+    assert_eq!((update.weight, update.sample_index), (1.0, 0));
+    assert_eq!(updates_until_converged(&mut caches), 7);
+}
+
+#[test]
+fn layers_that_stay_keep_their_tiles_and_those_that_go_give_them_back() {
+    let id = |layer| SphereId {
+        cell: CellId(1),
+        layer,
+    };
+    let mut caches = Caches::new(10, 1);
+    for layer in 0..3 {
+        let tiles: Vec<TileRequest> = (0..=layer as u16).map(|x| request(tile(1, x, 0))).collect();
+        caches.sphere_mut(id(layer)).set_wanted(&[], &tiles);
+    }
+    updates_until_converged(&mut caches);
+    assert_eq!(caches.resident(), 6);
+    // The last comes first, a new one is second, the first third; the middle one goes.
+    caches.keep_layers(CellId(1), &[Some(2), None, Some(0)]);
+    assert_eq!(caches.resident(), 4);
+    let resident = |layer| caches.sphere(id(layer)).map_or(0, SphereCache::resident);
+    assert_eq!([0, 1, 2].map(resident), [3, 0, 1]);
+}

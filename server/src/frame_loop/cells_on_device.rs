@@ -87,6 +87,24 @@ impl SkyRenderer {
         }
     }
 
+    /// Gives a cell's layers their places: those that were there before keep their anchors.
+    pub(super) fn keep_anchors(&self, cell: &mut ActiveCell, kept: &[Option<usize>]) {
+        cell.anchors = self
+            .active
+            .iter()
+            .zip(kept)
+            .map(|(layer, kept)| {
+                kept.and_then(|place| cell.anchors.get(place).copied())
+                    .unwrap_or(Anchor {
+                        at_start_m: cell.reference_m,
+                        drift_at_start_m: self.drifts[layer.scene_index],
+                    })
+            })
+            .collect();
+        cell.coarse.clear();
+        cell.requests_changed = true;
+    }
+
     pub(super) fn touch_all_requests(&mut self) {
         for cell in self.active_cells.values_mut() {
             cell.requests_changed = true;

@@ -253,6 +253,8 @@ pub struct RenderStats {
     pub scene_revision: u64,
     /// Since the loop has been ready.
     pub uptime_s: f64,
+    /// The sky's clock when these figures were taken.
+    pub sky_time: SkyTimeStats,
     /// Sums since the start.
     pub totals: RenderTotals,
     /// Buffers, textures, pipelines and passes of the device.
@@ -265,6 +267,25 @@ pub struct RenderStats {
     pub cells: Vec<CellStats>,
     /// The viewers that the loop knows.
     pub viewers: Vec<ViewerRenderStats>,
+}
+
+/// The sky's clock, and what it costs.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct SkyTimeStats {
+    /// Sky time.
+    pub sky_s: f64,
+    /// Date and time at the sun's place, UTC; null where the sun stands by hand.
+    pub date: Option<String>,
+    /// Seconds of sky time in a second while it runs.
+    pub rate: f64,
+    /// Whether sky time goes on.
+    pub running: bool,
+    /// Whether something but clouds in the wind moves.
+    pub moves: bool,
+    /// How often the scene of the moment was worked out since the start.
+    pub evaluations: u64,
+    /// How often it was different enough to be taken over.
+    pub taken: u64,
 }
 
 /// The graphics adapter.

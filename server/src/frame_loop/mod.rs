@@ -10,6 +10,8 @@ mod passes;
 mod qualities;
 mod renderer;
 mod screen_space;
+mod sky_steps;
+mod sky_time;
 mod stats;
 mod still;
 mod still_settings;

@@ -5,6 +5,7 @@ use super::interface::{
     render_command_channel,
 };
 use super::renderer::SkyRenderer;
+use crate::clock;
 use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{BlendStep, Gpu, GpuError, TimedPass};
 use skycell_protocol::{RendererKind, Scene, Show, ViewerId};
@@ -118,8 +119,9 @@ impl FrameLoop {
         cells: &[PlacedCell],
     ) -> Result<(FrameLoopHandle, JoinHandle<()>), GpuError> {
         let gpu = Gpu::open_blocking()?;
-        let mut renderer = SkyRenderer::new(gpu, config, scene, revision, cells)?;
+        let mut renderer = SkyRenderer::new(gpu, config, scene.clone(), revision, cells)?;
         renderer.let_qualities_be_chosen()?;
+        renderer.let_time_pass(scene, revision)?;
         renderer.warm_up()?;
         let (sender, commands) = render_command_channel();
         let stats = StatsCell::new();
@@ -242,7 +244,7 @@ impl FrameLoop {
         self.time = now;
         self.march_credit_s =
             (self.march_credit_s + MARCH_SHARE * passed.as_secs_f64()).min(MARCH_CREDIT_MAX_S);
-        self.renderer.advance_time(passed.as_secs_f64());
+        self.follow_time(passed);
         if self.paces.is_empty() {
             self.publish(now, true);
             return if self.renderer.in_flight() > 0 {
@@ -311,6 +313,25 @@ impl FrameLoop {
                 .is_some_and(|last| now.duration_since(last) >= AGES_INTERVAL);
             if shows_ages && is_old {
                 pace.change = Change::Seen;
+            }
+        }
+    }
+
+    /// Brings the sky to the present moment.
+    fn follow_time(&mut self, passed: Duration) {
+        self.renderer.advance_maps(passed.as_secs_f64());
+        match self
+            .renderer
+            .follow_time(clock::now(), !self.paces.is_empty())
+        {
+            Ok(false) => {}
+            Ok(true) => {
+                for pace in self.paces.values_mut() {
+                    pace.change = Change::Seen;
+                }
+            }
+            Err(error) => {
+                tracing::error!(%error, "the scene of the moment could not be taken over");
             }
         }
     }
@@ -490,7 +511,7 @@ impl FrameLoop {
         self.renderer.in_flight() == 0 && self.next_due().is_none_or(|due| due > now + tile)
     }
 
-    /// The most frames a second that a viewer wants who moves or sees the wind blow; 0 when all rests.
+    /// The most frames a second that a viewer wants who moves or sees the sky move; 0 when all rests.
     fn hurried_fps(&self, now: Instant) -> f64 {
         let changing = self.renderer.sky_is_changing();
         self.paces

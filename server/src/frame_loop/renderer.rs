@@ -5,9 +5,12 @@ use super::auditing::Audit;
 use super::cells_on_device::ActiveCell;
 use super::interface::{RenderStats, ViewRequest};
 use super::qualities::Qualities;
+use super::sky_steps::steps_between;
+use super::sky_time::SkyTime;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
 use crate::cells::Cells;
+use crate::clock;
 use crate::composite::{Inspections, Picture, composite_key, ground_key, with_shared_background};
 use crate::config::{FrameFilter, PlacedCell, RenderConfig};
 use crate::field::FieldStore;
@@ -21,11 +24,17 @@ use crate::march::{
     texels_key,
 };
 use glam::DVec3;
-use skycell_protocol::scene::CloudLayer;
 use skycell_protocol::{Camera, CellId, RendererKind, Scene, ViewerId};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64};
+
+/// A change of the scene that is no larger is one of those that time makes, and texels are mixed towards it.
+const STEPS_OF_A_MOMENT_MAX: f64 = 1.0;
+
+/// A proxy sphere stays where it is when a change of the scene would move it by less. Texels are marched for where it is, so
+/// that it costs parallax alone, and less than a cloud is deep.
+const PROXY_SHIFT_MAX_M: f64 = 20.0;
 
 /// Sums since the start.
 #[derive(Debug, Default)]
@@ -62,9 +71,13 @@ pub(super) struct SkyRenderer {
     pub(super) settings: MarchSettings,
     /// Halvings of the screen-space renderer's resolution as a divisor: 1, 2 or 4.
     pub(super) resolution_divisor: u32,
+    /// The scene of the moment.
     pub(super) scene: Arc<Scene>,
     pub(super) scene_revision: u64,
+    pub(super) sky_time: SkyTime,
     pub(super) active: Vec<ActiveLayer>,
+    /// The layers with proxy spheres where they would be if the scene had always been so.
+    pub(super) ideal_active: Vec<ActiveLayer>,
     pub(super) light: SkyLight,
     pub(super) drifts: Vec<DVec3>,
     pub(super) active_cells: BTreeMap<CellId, ActiveCell>,
@@ -102,7 +115,9 @@ impl SkyRenderer {
             light: sky_light(&scene, 0.0),
             scene: scene.clone(),
             scene_revision,
+            sky_time: SkyTime::standing(scene.clone()),
             active: Vec::new(),
+            ideal_active: Vec::new(),
             drifts: Vec::new(),
             active_cells: BTreeMap::new(),
             viewers: BTreeMap::new(),
@@ -130,28 +145,17 @@ impl SkyRenderer {
 
     /// Takes a new scene over. What only colours the sky marches nothing; what changes light or density in the clouds
     /// ages every texel; what changes where layers are starts their caches anew.
-    pub(super) fn set_scene(&mut self, scene: Arc<Scene>, revision: u64) -> Result<(), GpuError> {
+    pub(super) fn set_scene(
+        &mut self,
+        document: Arc<Scene>,
+        revision: u64,
+    ) -> Result<(), GpuError> {
+        let now = clock::now();
+        let scene = self.take_document(document, now);
         let active = active_layers(&scene);
-        let blend = LayerBlend::of(&scene, &active);
-        let mut keys = Vec::new();
-        for filter in FrameFilter::ALL {
-            for screen_space in [false, true] {
-                let key = frame_key(&self.gpu, &scene, filter, blend, screen_space);
-                keys.extend([key, ground_key(key)]);
-            }
-        }
-        for settings in self.possible_settings(scene.light().octaves()) {
-            for layer in &active {
-                let features = layer_features(&scene, layer.scene_index, &settings);
-                keys.extend([
-                    texels_key(features),
-                    pixels_key(features, false),
-                    audit_key(features),
-                ]);
-            }
-        }
-        for key in keys {
-            self.pipelines.prepare(&self.gpu, key)?;
+        self.prepare_pipelines(&scene)?;
+        for other in self.sky_time.to_come() {
+            self.prepare_pipelines(&other)?;
         }
         let layout = &self.pipelines.field_layout;
         if self
@@ -180,18 +184,24 @@ impl SkyRenderer {
         let old = std::mem::replace(&mut self.scene, scene);
         self.scene_revision = revision;
         self.light = sky_light(&self.scene, cloud_altitude_m);
-        self.drifts.resize(self.scene.layers().len(), DVec3::ZERO);
-        let moved =
-            old.planet().radius_m() != self.scene.planet().radius_m() || active != self.active;
-        self.active = active;
+        self.place_clouds();
         self.inspections = None;
+        let moved = old.planet().radius_m() != self.scene.planet().radius_m()
+            || !stand_alike(&active, &self.ideal_active);
         if moved {
+            self.ideal_active.clone_from(&active);
+            self.active = active;
             let ids: Vec<CellId> = self.active_cells.keys().copied().collect();
             for id in ids {
                 self.restart_cell(id);
             }
-        } else if maps_change.content || marches_differ(&old, &self.scene) {
-            self.caches.age_all();
+        } else {
+            let steps = steps_between(&old, &self.scene);
+            if maps_change.content || steps.march() > STEPS_OF_A_MOMENT_MAX || steps.layers_change {
+                self.caches.age_all();
+            } else {
+                self.age_by(&steps);
+            }
         }
         let views: Vec<(ViewerId, ViewRequest)> =
             self.viewers.iter().map(|(id, v)| (*id, v.view)).collect();
@@ -206,6 +216,33 @@ impl SkyRenderer {
         self.prepare_views();
         self.prepare_meters()?;
         self.audit.restart();
+        Ok(())
+    }
+
+    /// Makes the pipelines of a scene that are not there yet.
+    pub(super) fn prepare_pipelines(&mut self, scene: &Scene) -> Result<(), GpuError> {
+        let active = active_layers(scene);
+        let blend = LayerBlend::of(scene, &active);
+        let mut keys = Vec::new();
+        for filter in FrameFilter::ALL {
+            for screen_space in [false, true] {
+                let key = frame_key(&self.gpu, filter, blend, screen_space);
+                keys.extend([key, ground_key(key)]);
+            }
+        }
+        for settings in self.possible_settings(scene.light().octaves()) {
+            for layer in &active {
+                let features = layer_features(scene, layer.scene_index, &settings);
+                keys.extend([
+                    texels_key(features),
+                    pixels_key(features, false),
+                    audit_key(features),
+                ]);
+            }
+        }
+        for key in keys {
+            self.pipelines.prepare(&self.gpu, key)?;
+        }
         Ok(())
     }
 
@@ -254,12 +291,28 @@ impl SkyRenderer {
         Ok(())
     }
 
+    /// Puts clouds where a scene of a moment says that they are.
+    pub(super) fn place_clouds(&mut self) {
+        self.drifts.resize(self.scene.layers().len(), DVec3::ZERO);
+        if self.scene.has_carried() {
+            for (index, drift) in self.drifts.iter_mut().enumerate() {
+                *drift = self.scene.carried_m(index);
+            }
+        }
+    }
+
     /// Wind carries the layers for a while, their noise rises, maps go on to others.
     pub(super) fn advance_time(&mut self, seconds: f64) {
         for (index, drift) in self.drifts.iter_mut().enumerate() {
             *drift += drift_m_per_s(&self.scene, index) * seconds;
         }
         self.field.advance_maps(seconds);
+    }
+
+    /// Time passes for maps that are on their way to others: sky time, while it runs.
+    pub(super) fn advance_maps(&mut self, seconds: f64) {
+        self.field
+            .advance_maps(seconds * self.sky_time.rate().abs());
     }
 
     /// Lets marches read maps as far on their way to others as sky time is, and ages what was marched before: step by
@@ -283,9 +336,10 @@ impl SkyRenderer {
         step
     }
 
-    /// Whether clouds change by themselves: by wind, by evolution, or because maps are on their way to others.
+    /// Whether clouds change by themselves: by wind, by evolution, with time, or because maps are on their way to others.
     pub(super) fn sky_is_changing(&self) -> bool {
-        self.wind_speed_max_m_per_s() > 0.0
+        self.sky_time.moves()
+            || self.wind_speed_max_m_per_s() > 0.0
             || self.evolution_max_m_per_s() > 0.0
             || self.field.maps_are_blending()
     }
@@ -296,14 +350,17 @@ impl SkyRenderer {
             .iter()
             .map(|layer| drift_m_per_s(&self.scene, layer.scene_index).y.abs())
             .fold(0.0, f64::max)
+            * self.sky_time.wind_rate().abs()
     }
 
-    /// Fastest wind of a layer that is shown, m/s.
+    /// Fastest speed at which the wind carries a layer that is shown past its viewers, m/s.
     pub(super) fn wind_speed_max_m_per_s(&self) -> f64 {
-        self.active
+        let wind = self
+            .active
             .iter()
             .map(|layer| self.scene.layer_wind(layer.scene_index).speed_m_per_s())
-            .fold(0.0, f64::max)
+            .fold(0.0, f64::max);
+        wind * self.sky_time.wind_rate().abs()
     }
 
     /// What stands on the device.
@@ -314,6 +371,15 @@ impl SkyRenderer {
     pub(super) fn stats(&self, uptime_s: f64) -> RenderStats {
         super::stats::render_stats(self, uptime_s)
     }
+}
+
+/// Whether proxy spheres of the same layers stand where the others do, or so near that texels may stay.
+fn stand_alike(a: &[ActiveLayer], b: &[ActiveLayer]) -> bool {
+    a.len() == b.len()
+        && a.iter().zip(b).all(|(a, b)| {
+            a.scene_index == b.scene_index
+                && (a.proxy_altitude_m - b.proxy_altitude_m).abs() <= PROXY_SHIFT_MAX_M
+        })
 }
 
 /// The composite of viewers' frames.
@@ -330,14 +396,4 @@ pub(super) fn frame_key(
     } else {
         key
     }
-}
-
-/// Whether what texels hold depends on what differs, but for maps, of which the device knows. The sun's colour, the exposure, the ground and the air do not: they
-/// are applied where texels are shown.
-fn marches_differ(old: &Scene, new: &Scene) -> bool {
-    let same = |(old, new): (&CloudLayer, &CloudLayer)| old.is_same_but_for_maps(new);
-    old.layers().len() != new.layers().len()
-        || !old.layers().iter().zip(new.layers()).all(same)
-        || old.light() != new.light()
-        || old.sun().direction() != new.sun().direction()
 }

@@ -27,6 +27,7 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
         tick: counters.ticks,
         scene_revision: renderer.scene_revision,
         uptime_s,
+        sky_time: renderer.sky_time.stats(crate::clock::now()),
         totals: RenderTotals {
             ticks: counters.ticks,
             submissions: counters.submissions,

@@ -122,11 +122,11 @@ pub fn layer_features(scene: &Scene, scene_index: usize, settings: &MarchSetting
 }
 
 /// How far each layer's wind has carried its clouds by a time (x and z), and how far the noise has risen through them
-/// (y), m.
+/// (y), m. For the scene of a moment the time is what has passed since.
 #[must_use]
 pub fn wind_drifts(scene: &Scene, time_s: f64) -> Vec<DVec3> {
     (0..scene.layers().len())
-        .map(|index| drift_m_per_s(scene, index) * time_s)
+        .map(|index| scene.carried_m(index) + drift_m_per_s(scene, index) * time_s)
         .collect()
 }
 

@@ -26,6 +26,47 @@ pub enum Measurement {
         after_help = "Example: skycell-server measure trade --quick --out trade && xdg-open trade/report.html"
     )]
     Trade(Box<TradeArguments>),
+    /// A picture of every preset and of three views of the default scene, each beside the same by the reference renderer with
+    /// its FLIP: pictures, gallery.json and README.md in the folder of --out.
+    ///
+    /// A run that was stopped goes on where it was when it is started again.
+    #[command(
+        after_help = "Examples:\n  skycell-server measure gallery --out docs/gallery\n  skycell-server measure gallery \
+                      --size 192x108 --pair-size 96x54 --only haze,storm --out /tmp/gallery"
+    )]
+    Gallery(Box<GalleryArguments>),
+}
+
+/// What `measure gallery` is asked for.
+#[derive(Clone, Debug, clap::Args)]
+pub struct GalleryArguments {
+    /// Folder of the pictures; what is there already is not made again.
+    #[arg(long, default_value = "docs/gallery", value_name = "DIR")]
+    pub out: PathBuf,
+    /// Size of the pictures.
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = parsed_size, default_value = "1920x1080")]
+    pub size: FrameSize,
+    /// Size of the pictures that are compared: the reference takes about a minute for 192x108 on two cores.
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = parsed_size, default_value = "192x108")]
+    pub pair_size: FrameSize,
+    /// Rays across and down a pixel of the reference.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=16))]
+    pub reference_grid: u32,
+    /// Only these pictures; all without.
+    #[arg(long, value_delimiter = ',', value_name = "NAME,...")]
+    pub only: Vec<String>,
+    /// Folder in which reference pictures are kept in full precision [default: gallery in the noise's].
+    #[arg(long, value_name = "DIR")]
+    pub work: Option<PathBuf>,
+    /// Make everything anew.
+    #[arg(long)]
+    pub fresh: bool,
+    /// Folder in which noise is kept.
+    #[arg(long, env = "SKYCELL_CACHE_DIR")]
+    pub noise_cache_dir: Option<PathBuf>,
+    /// Print figures as JSON.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// What `measure trade` is asked for.
@@ -154,7 +195,7 @@ impl TradeArguments {
     /// # Errors
     /// When its file cannot be read or holds no scene.
     pub fn read_scene(&self) -> anyhow::Result<Scene> {
-        read_scene(self.scene.as_deref())
+        read_scene(self.scene.as_deref()).map(|scene| scene.at_sky_s(self.time_s))
     }
 
     /// What the f64 renderers need; where data lie.

@@ -5,6 +5,7 @@
 
 mod arguments;
 pub mod front;
+mod gallery;
 pub mod metrics;
 pub mod plan;
 pub mod progress;
@@ -16,7 +17,9 @@ pub mod store;
 pub mod sweep;
 mod trade;
 
-pub use arguments::{MeasureArguments, Measurement, ReferenceKind, TradeArguments};
+pub use arguments::{
+    GalleryArguments, MeasureArguments, Measurement, ReferenceKind, TradeArguments,
+};
 
 /// Measures.
 ///
@@ -25,5 +28,6 @@ pub use arguments::{MeasureArguments, Measurement, ReferenceKind, TradeArguments
 pub fn run(arguments: &MeasureArguments) -> anyhow::Result<()> {
     match &arguments.what {
         Measurement::Trade(trade) => trade::run(trade),
+        Measurement::Gallery(gallery) => gallery::run(gallery),
     }
 }

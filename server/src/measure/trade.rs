@@ -171,7 +171,7 @@ fn prepared(arguments: &TradeArguments, scene: &Scene) -> anyhow::Result<Prepare
 }
 
 /// Of program and shaders: results of others are not taken for this one's.
-fn version() -> String {
+pub(super) fn version() -> String {
     let shaders: Vec<&str> = skycell_shaders::sources().map(|(_, text)| text).collect();
     format!(
         "{} {}",

@@ -11,6 +11,9 @@ pub struct RenderArguments {
     /// Scene document; the default scene without it. Files of voxels that it names lie beside it.
     #[arg(long)]
     pub scene: Option<PathBuf>,
+    /// A sky that comes with the program, and its camera where no other is given.
+    #[arg(long, value_name = "NAME", conflicts_with = "scene")]
+    pub preset: Option<String>,
     /// Which renderer.
     #[arg(long, value_enum, default_value_t = StillKind::Cached)]
     pub renderer: StillKind,
@@ -23,18 +26,24 @@ pub struct RenderArguments {
     /// Height, pixels.
     #[arg(long, default_value_t = 720)]
     pub height: u32,
-    /// Eye: x (east), altitude, z (south), metres.
-    #[arg(long, value_delimiter = ',', num_args = 1, value_name = "X,Y,Z", default_values_t = [0.0, 2.0, 0.0], allow_negative_numbers = true)]
-    pub position_m: Vec<f64>,
-    /// Where the middle of the picture looks, clockwise from north.
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
-    pub yaw_deg: f64,
-    /// And above the horizon.
-    #[arg(long, default_value_t = 15.0, allow_negative_numbers = true)]
-    pub pitch_deg: f64,
-    /// Vertical field of view.
-    #[arg(long, default_value_t = 60.0)]
-    pub fov_deg: f64,
+    /// Eye: x (east), altitude, z (south), metres [default: 0,2,0].
+    #[arg(
+        long,
+        value_delimiter = ',',
+        num_args = 1,
+        value_name = "X,Y,Z",
+        allow_negative_numbers = true
+    )]
+    pub position_m: Option<Vec<f64>>,
+    /// Where the middle of the picture looks, clockwise from north [default: 0].
+    #[arg(long, allow_negative_numbers = true)]
+    pub yaw_deg: Option<f64>,
+    /// And above the horizon [default: 15].
+    #[arg(long, allow_negative_numbers = true)]
+    pub pitch_deg: Option<f64>,
+    /// Vertical field of view [default: 60].
+    #[arg(long)]
+    pub fov_deg: Option<f64>,
     /// Parallel rays from a rectangle of this height about the eye, metres, instead of a field of view.
     #[arg(long, value_name = "M", conflicts_with = "rays")]
     pub orthographic_height_m: Option<f64>,
@@ -95,9 +104,12 @@ pub struct RenderArguments {
     /// density-section. For the device's renderers and .png.
     #[arg(long, value_name = "NAME", default_value = "picture", value_parser = show_of)]
     pub show: Show,
-    /// Seconds for which the wind has blown.
+    /// Sky time: seconds for which the wind has blown and the sun has moved.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     pub time_s: f64,
+    /// The sky of a moment, such as 2026-06-21T18:30:00Z, as every server with this scene shows it then.
+    #[arg(long, value_name = "DATE", conflicts_with = "time_s")]
+    pub at: Option<String>,
     /// Folder in which noise is kept.
     #[arg(long, env = "SKYCELL_CACHE_DIR")]
     pub noise_cache_dir: Option<PathBuf>,

@@ -9,13 +9,15 @@ mod rays;
 pub use arguments::{Approximation, Chosen, Interpolation, RenderArguments, StillKind, SunChoice};
 
 use crate::march::EXPOSURE_AT_ZERO_EV;
+use crate::scene::{Preset, preset, presets};
 use anyhow::{Context, bail, ensure};
 use display::Display;
 use glam::DVec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use rays::{CONVENTIONS, RayLine, RayReport, WorldRay, read_rays};
 use serde_json::json;
-use skycell_protocol::{Camera, FrameSize, Scene};
+use skycell_protocol::scene::ranges::SKY_TIME_S;
+use skycell_protocol::{Camera, FrameSize, Moment, Scene};
 use skycell_reference::picture::Projection;
 use skycell_reference::{Ray, RayResult};
 use std::path::{Path, PathBuf};
@@ -100,16 +102,51 @@ fn output(arguments: &RenderArguments) -> anyhow::Result<Output> {
     }
 }
 
+/// The camera of the arguments; what they leave out is the preset's.
+fn camera(arguments: &RenderArguments) -> anyhow::Result<Camera> {
+    let fallback = match &arguments.preset {
+        Some(name) => named_preset(name)?.camera,
+        None => Camera::new([0.0, 2.0, 0.0], 0.0, 15.0, 60.0)?,
+    };
+    let position_m = arguments.position_m.as_deref().map(triple).transpose()?;
+    Ok(Camera::new(
+        position_m.unwrap_or(fallback.position_m()),
+        arguments.yaw_deg.unwrap_or(fallback.yaw_deg()),
+        arguments.pitch_deg.unwrap_or(fallback.pitch_deg()),
+        arguments.fov_deg.unwrap_or(fallback.vertical_fov_deg()),
+    )?)
+}
+
+pub(crate) fn named_preset(name: &str) -> anyhow::Result<&'static Preset> {
+    let names: Vec<&str> = presets().iter().map(|p| p.name.as_str()).collect();
+    preset(name).with_context(|| {
+        format!(
+            "--preset is {name:?}; allowed is one of {}",
+            names.join(", ")
+        )
+    })
+}
+
+/// The scene of the arguments at the time of the arguments.
+fn scene_of(arguments: &RenderArguments) -> anyhow::Result<Scene> {
+    let scene = match &arguments.preset {
+        Some(name) => named_preset(name)?.scene.clone(),
+        None => read_scene(arguments.scene.as_deref())?,
+    };
+    Ok(match &arguments.at {
+        Some(at) => scene.at(Moment::parse(at, "--at")?),
+        None => {
+            SKY_TIME_S.check("--time-s", arguments.time_s)?;
+            scene.at_sky_s(arguments.time_s)
+        }
+    })
+}
+
 fn target(arguments: &RenderArguments) -> anyhow::Result<Target> {
     if let Some(path) = &arguments.rays {
         return Ok(Target::Rays(read_rays(path)?));
     }
-    let camera = Camera::new(
-        triple(&arguments.position_m)?,
-        arguments.yaw_deg,
-        arguments.pitch_deg,
-        arguments.fov_deg,
-    )?;
+    let camera = camera(arguments)?;
     if let Some(height_m) = arguments.orthographic_height_m {
         ensure!(
             (1e-3..=4e7).contains(&height_m),
@@ -138,7 +175,7 @@ fn progress_bar() -> anyhow::Result<ProgressBar> {
 /// For an unreadable scene or list of rays, an impossible camera, size or setting, a missing device, an unwritable file.
 pub fn run(arguments: &RenderArguments) -> anyhow::Result<()> {
     let output = output(arguments)?;
-    let scene = read_scene(arguments.scene.as_deref())?;
+    let scene = scene_of(arguments)?;
     let folders = Folders::of(
         arguments.scene.as_deref(),
         arguments.noise_cache_dir.as_ref(),
@@ -274,7 +311,7 @@ fn single_scattering_if_asked(
         (Some(1), true) => {
             let mut document = scene.to_document();
             document.light.octaves = 1;
-            Ok(Scene::try_from(document)?)
+            Ok(Scene::try_from(document)?.carried_like(scene))
         }
         (Some(other), true) => bail!(
             "--orders is {other}; the marching renderers know 1 (single scattering) and all (the scene's octaves)"

@@ -6,6 +6,7 @@
 mod file;
 mod map_folder;
 mod maps;
+mod presets;
 #[cfg(test)]
 mod tests;
 
@@ -13,15 +14,18 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde_json::Value;
-use skycell_protocol::{Scene, SceneError};
+use skycell_protocol::scene::{StillSceneDocument, TimeChange, TimeDocument, TransitionDocument};
+use skycell_protocol::{Moment, Scene, SceneDocument, SceneError};
 use thiserror::Error;
 use tokio::sync::watch;
 
+use crate::clock;
 use crate::field::{FieldStore, MapFileError, check_grids, check_maps};
 use file::SceneFile;
 pub use file::SceneFileError;
 use map_folder::MapFolder;
 pub use maps::MapChoice;
+pub use presets::{Preset, preset, presets};
 
 /// A scene and the number of its revision.
 #[derive(Clone, Debug, PartialEq)]
@@ -104,7 +108,7 @@ pub struct SceneStore {
 
 impl SceneStore {
     /// Opens the store in a folder, which is made if there is none. Without a file there, the
-    /// scene is the default one, revision 1, and is written.
+    /// scene is the default one with sky time 0 now, revision 1, and is written.
     ///
     /// # Errors
     /// If the file is there and holds no scene (it is then left as it is), or cannot be read or
@@ -126,7 +130,7 @@ impl SceneStore {
             Some(snapshot) => snapshot,
             None => {
                 let snapshot = SceneSnapshot {
-                    scene: Arc::new(Scene::default()),
+                    scene: Arc::new(first_scene(clock::now())),
                     revision: 1,
                 };
                 file.write(&snapshot)?;
@@ -154,7 +158,8 @@ impl SceneStore {
     }
 
     /// Changes the scene by a merge patch (RFC 7396) and keeps it. Blocks while the disk works. A
-    /// patch that changes nothing makes no new revision.
+    /// patch that changes nothing makes no new revision. Clouds go on from where they are, whatever
+    /// happens to wind and clock, unless the patch itself says where they are (`/drift`).
     ///
     /// # Errors
     /// If the precondition does not hold, the result is no scene, or it cannot be kept. The scene
@@ -164,13 +169,69 @@ impl SceneStore {
         precondition: &Precondition,
         patch: &Value,
     ) -> Result<SceneSnapshot, ScenePatchError> {
+        let says_where = patch.get("drift").is_some();
+        self.change(precondition, says_where, |before, _| {
+            let mut document = file::document_of(before)?;
+            json_patch::merge(&mut document, patch);
+            Ok(SceneDocument::from_json(&document)?)
+        })
+    }
+
+    /// Stops the sky's clock, lets it go on, sets it or gives it another rate, from now on.
+    ///
+    /// # Errors
+    /// If the precondition does not hold, a number is out of range, or the scene cannot be kept.
+    pub fn change_time(
+        &self,
+        precondition: &Precondition,
+        time_change: &TimeChange,
+    ) -> Result<SceneSnapshot, ScenePatchError> {
+        self.change(precondition, false, |before, now| {
+            let mut document = before.to_document();
+            document.time = document.time.changed(now, time_change);
+            Ok(document)
+        })
+    }
+
+    /// Makes the sky a preset's, on the way there for `transition_s`. Clock and quality stay.
+    ///
+    /// # Errors
+    /// If the precondition does not hold, the time is out of range, or the scene cannot be kept.
+    pub fn set_preset(
+        &self,
+        precondition: &Precondition,
+        preset: &Preset,
+        transition_s: f64,
+    ) -> Result<SceneSnapshot, ScenePatchError> {
+        self.change(precondition, false, |before, now| {
+            let transition = TransitionDocument {
+                began: now,
+                duration_s: transition_s,
+                from: Box::new(StillSceneDocument(before.at(now).to_document())),
+            };
+            Ok(SceneDocument {
+                time: TimeDocument::from(before.clock()),
+                quality: before.quality(),
+                transition: (transition_s != 0.0).then_some(transition),
+                ..preset.scene.to_document()
+            })
+        })
+    }
+
+    /// Makes a document from the present scene, and a revision from that.
+    fn change(
+        &self,
+        precondition: &Precondition,
+        says_where_clouds_are: bool,
+        edit: impl FnOnce(&Scene, Moment) -> Result<SceneDocument, ScenePatchError>,
+    ) -> Result<SceneSnapshot, ScenePatchError> {
         // The lock guards no data, so a panic while it was held has broken nothing.
         let _change = self.change.lock().unwrap_or_else(PoisonError::into_inner);
         let before = self.snapshot();
         precondition.check(&before)?;
-        let mut document = file::document_of(&before.scene)?;
-        json_patch::merge(&mut document, patch);
-        self.take_over(&before, &document)
+        let now = clock::now();
+        let document = edit(&before.scene, now)?;
+        self.make(&before, document, says_where_clouds_are, now)
     }
 
     /// Makes a document the scene, keeps it and tells of it. With the lock held.
@@ -179,9 +240,29 @@ impl SceneStore {
         before: &SceneSnapshot,
         document: &Value,
     ) -> Result<SceneSnapshot, ScenePatchError> {
-        let scene = Scene::from_json(document)?;
+        let document = SceneDocument::from_json(document)?;
+        self.make(before, document, false, clock::now())
+    }
+
+    /// With the lock held.
+    fn make(
+        &self,
+        before: &SceneSnapshot,
+        mut document: SceneDocument,
+        says_where_clouds_are: bool,
+        now: Moment,
+    ) -> Result<SceneSnapshot, ScenePatchError> {
+        let mut scene = Scene::try_from(document.clone())?;
         if scene == *before.scene {
             return Ok(before.clone());
+        }
+        if !says_where_clouds_are {
+            document.drift = before.scene.continued_drift(&scene, now);
+            // What has come needs not be told any more.
+            document.transition = document
+                .transition
+                .filter(|_| scene.transition().is_some_and(|t| now < t.ends()));
+            scene = Scene::try_from(document)?;
         }
         check_grids(&scene, &self.grids_dir)?;
         check_maps(&scene, &self.field, self.maps.path())?;
@@ -194,4 +275,17 @@ impl SceneStore {
         self.maps.collect(&maps::named_files(&after.scene));
         Ok(after)
     }
+}
+
+/// The default scene with sky time 0 now.
+fn first_scene(now: Moment) -> Scene {
+    let document = SceneDocument {
+        time: TimeDocument {
+            epoch: now,
+            ..TimeDocument::default()
+        },
+        ..SceneDocument::default()
+    };
+    // The defaults are a scene at any epoch.
+    Scene::try_from(document).unwrap_or_default()
 }

@@ -16,9 +16,13 @@ fn open(folder: &tempfile::TempDir) -> SceneStore {
 fn a_new_store_holds_the_default_scene_as_revision_one() {
     let folder = folder();
     let snapshot = open(&folder).snapshot();
+    let sky_s = snapshot.scene.clock().sky_s(crate::clock::now());
+    assert!((0.0..60.0).contains(&sky_s), "sky time 0 is now: {sky_s}");
+    let mut document = snapshot.scene.to_document();
+    document.time = TimeDocument::default();
     assert_eq!(
-        (&*snapshot.scene, snapshot.revision),
-        (&Scene::default(), 1)
+        (Scene::try_from(document), snapshot.revision),
+        (Ok(Scene::default()), 1)
     );
     assert!(folder.path().join("scene.json").exists());
 }
@@ -175,4 +179,29 @@ fn a_patch_that_names_voxels_is_taken_when_they_are_there_and_else_leaves_the_sc
     std::fs::write(grids.join("two.f32"), [0u8; 8]).expect("written");
     let after = store.patch(&Precondition::Any, &patch).expect("taken");
     assert_eq!(after.revision, before.revision + 1);
+}
+
+#[test]
+fn clouds_go_on_from_where_they_are_when_the_wind_turns() {
+    let folder = folder();
+    let store = open(&folder);
+    let patch = |value| {
+        store
+            .patch(&Precondition::Any, &value)
+            .expect("a good patch")
+    };
+    patch(json!({"time": {"epoch": "2020-01-01T00:00:00Z"}, "drift": null}));
+    let far = |snapshot: &SceneSnapshot| snapshot.scene.at(crate::clock::now()).carried_m(0);
+    let before = far(&store.snapshot());
+    assert!(before.x > 1e8, "years of wind: {before}");
+    let after = patch(json!({"wind": {"towards_deg": 0, "speed_m_per_s": 20}}));
+    assert!(
+        far(&after).distance(before) < 2000.0,
+        "{before} to {}",
+        far(&after)
+    );
+    assert!(after.scene.to_document().drift.is_some());
+    // Who says where clouds are is believed.
+    let without = patch(json!({"drift": null}));
+    assert!(far(&without).distance(before) > 1e8);
 }

@@ -5,6 +5,7 @@ mod figures;
 mod lifecycle;
 mod maps;
 mod scene;
+mod sky_time;
 mod stand_in;
 mod stream;
 mod stream_refusals;

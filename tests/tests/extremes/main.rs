@@ -19,6 +19,7 @@ mod shells;
 mod stage;
 mod steps;
 mod sun;
+mod time;
 mod truth;
 
 use line::Line;
@@ -27,7 +28,7 @@ use stage::{Stage, stage};
 type Run = fn(&mut Stage) -> Line;
 
 /// How many cases each line has.
-const CASES: [(Run, usize); 21] = [
+const CASES: [(Run, usize); 22] = [
     (sun::anywhere, 102),
     (sun::along_the_ray, 8),
     (camera::anywhere, 92),
@@ -49,6 +50,7 @@ const CASES: [(Run, usize); 21] = [
     (maps::evolution, 5),
     (maps::mixed, 1),
     (sheets::anywhere, 66),
+    (time::any_clock, 12),
 ];
 
 fn check(index: usize) {
@@ -92,4 +94,5 @@ lines! {
     noise_may_rise_for_a_month = 18;
     maps_on_their_way_are_the_references_mix = 19;
     sheets_may_be_seen_from_anywhere_even_along_them = 20;
+    clocks_may_stand_race_and_run_backwards_at_any_place = 21;
 }

@@ -60,11 +60,15 @@ impl Stage {
     }
 
     pub(crate) fn scene(&mut self, document: &Value) {
-        self.still
-            .set_scene(Arc::new(
-                Scene::from_json(document).expect("a valid document"),
-            ))
-            .expect("pipelines");
+        self.show(Scene::from_json(document).expect("a valid document"));
+    }
+
+    pub(crate) fn show(&mut self, scene: Scene) {
+        if scene.has_carried() {
+            // It says itself where its clouds are.
+            self.time_s = 0.0;
+        }
+        self.still.set_scene(Arc::new(scene)).expect("pipelines");
     }
 
     /// Sets the time that the wind has blown for.

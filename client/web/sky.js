@@ -1,0 +1,130 @@
+// @ts-check
+/**
+ * The sky's clock and its presets: what the page shows of them and asks the server for.
+ */
+
+/**
+ * @typedef {object} SkyTime
+ * @property {number} revision
+ * @property {string} now  moment of the report
+ * @property {number} sky_s
+ * @property {string | null} date  at the sun's place, UTC
+ * @property {number | null} longitude_deg
+ * @property {number} rate
+ * @property {number} wind_rate
+ * @property {boolean} paused
+ * @property {{ azimuth_deg: number, elevation_deg: number }} sun
+ */
+
+/**
+ * @typedef {object} Preset
+ * @property {string} name
+ * @property {string} title
+ * @property {string} about
+ * @property {import("./look.js").Camera} camera
+ */
+
+const HOUR_S = 3600;
+const DAY_S = 24 * HOUR_S;
+
+/**
+ * Sky time some seconds after a report.
+ * @param {SkyTime} report
+ * @param {number} later_s
+ */
+export function skySecondsAfter(report, later_s) {
+  return report.sky_s + (report.paused ? 0 : report.rate * later_s);
+}
+
+/**
+ * Mean solar hour of the sun's place, 0 to 24; null where the sun stands by hand.
+ * @param {SkyTime} report
+ * @param {number} later_s
+ */
+export function localHour(report, later_s) {
+  if (report.date === null || report.longitude_deg === null) return null;
+  const date_s = Date.parse(report.date) / 1000 + skySecondsAfter(report, later_s) - report.sky_s;
+  const local_s = date_s + (report.longitude_deg / 360) * DAY_S;
+  return (((local_s % DAY_S) + DAY_S) % DAY_S) / HOUR_S;
+}
+
+/**
+ * Sky time at which the local hour of the same day is another one.
+ * @param {SkyTime} report
+ * @param {number} later_s
+ * @param {number} hour
+ */
+export function skySecondsAtHour(report, later_s, hour) {
+  const now = localHour(report, later_s);
+  return skySecondsAfter(report, later_s) + (now === null ? 0 : (hour - now) * HOUR_S);
+}
+
+/**
+ * 6.5 as 06:30.
+ * @param {number} hour
+ */
+export function clockText(hour) {
+  const minutes = Math.floor(hour * 60 + 1e-6);
+  return `${String(Math.floor(minutes / 60) % 24).padStart(2, "0")}:${String(minutes % 60).padStart(2, "0")}`;
+}
+
+/**
+ * Seconds as 1 d 02:03:04.
+ * @param {number} sky_s
+ */
+export function skyTimeText(sky_s) {
+  const whole = Math.floor(Math.abs(sky_s));
+  const part = (/** @type {number} */ value) => String(value).padStart(2, "0");
+  const days = Math.floor(whole / DAY_S);
+  const time = `${part(Math.floor(whole / HOUR_S) % 24)}:${part(Math.floor(whole / 60) % 60)}:${part(whole % 60)}`;
+  return `${sky_s <= -1 ? "−" : ""}${days > 0 ? `${days} d ` : ""}${time}`;
+}
+
+/**
+ * What a server answers to a request about its sky.
+ * @param {string} path  under api/v1
+ * @param {string} [method]
+ * @param {unknown} [body]
+ */
+async function ask(path, method = "GET", body) {
+  const is_patch = method === "PATCH";
+  const answer = await fetch(new URL(`api/v1/${path}`, location.href), {
+    method,
+    headers:
+      body === undefined
+        ? {}
+        : { "Content-Type": is_patch ? "application/merge-patch+json" : "application/json", "If-Match": "*" },
+    ...(body === undefined ? {} : { body: JSON.stringify(body) }),
+  });
+  const value = await answer.json();
+  if (!answer.ok) throw new Error(typeof value.detail === "string" ? value.detail : answer.statusText);
+  return value;
+}
+
+/** @returns {Promise<Preset[]>} */
+export const listPresets = () => ask("presets");
+
+/**
+ * @param {string} name
+ * @param {number} transition_s
+ */
+export const setPreset = (name, transition_s) => ask("scene/preset", "POST", { name, transition_s });
+
+/**
+ * @param {object} change  sky_s, date, rate, wind_rate or paused
+ * @returns {Promise<SkyTime>}
+ */
+export const changeTime = (change) => ask("scene/time", "PUT", change);
+
+/** @param {object} patch */
+export const patchScene = (patch) => ask("scene", "PATCH", patch);
+
+/**
+ * Tells of the sky's clock now and whenever the scene changes.
+ * @param {(report: SkyTime) => void} onReport
+ */
+export function watchSky(onReport) {
+  const events = new EventSource(new URL("api/v1/scene/events", location.href));
+  events.addEventListener("scene", (event) => onReport(JSON.parse(event.data)));
+  return () => events.close();
+}
