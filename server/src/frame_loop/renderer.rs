@@ -226,7 +226,7 @@ impl SkyRenderer {
         let mut keys = Vec::new();
         for filter in FrameFilter::ALL {
             for screen_space in [false, true] {
-                let key = frame_key(&self.gpu, filter, blend, screen_space);
+                let key = frame_key(&self.gpu, scene, filter, blend, screen_space);
                 keys.extend([key, ground_key(key)]);
             }
         }

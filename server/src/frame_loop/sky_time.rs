@@ -210,6 +210,7 @@ impl SkyRenderer {
             self.active = active;
             self.scene = scene;
             self.place_clouds();
+            self.inspections = None;
             self.keep_layers(&kept);
         } else {
             // Proxy spheres stay where they are while types change: the texels on them stay where they are.
@@ -235,7 +236,8 @@ impl SkyRenderer {
         self.light = sky_light(&self.scene, cloud_altitude_m);
         self.age_by(steps);
         self.audit.tiles_changed();
-        Ok(())
+        // What exposure follows has moved.
+        self.prepare_meters()
     }
 
     /// The texels of each layer are behind by its steps.
