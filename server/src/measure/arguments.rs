@@ -246,7 +246,9 @@ mod tests {
     fn parsed(arguments: &[&str]) -> Result<TradeArguments, String> {
         let all = ["measure", "trade"].iter().chain(arguments);
         let cli = Cli::try_parse_from(all).map_err(|error| error.to_string())?;
-        let Measurement::Trade(trade) = cli.measure.what;
+        let Measurement::Trade(trade) = cli.measure.what else {
+            return Err("no trade".into());
+        };
         Ok(*trade)
     }
 
