@@ -1,5 +1,6 @@
-//! Prints the device time of marched tiles and of composites: run after changes to the WGSL. Arguments: `bilinear`, and
-//! how many pictures are made.
+//! Prints the device time of marched tiles and of composites: run after changes to the WGSL. Arguments: `bilinear`,
+//! `shared` for what is behind clouds being shared by two by two pixels, the name of a scene file, and how many pictures
+//! are made.
 
 use skycell_protocol::{Camera, FrameSize, RendererKind, Scene};
 use skycell_server::config::{FrameFilter, RenderConfig};
@@ -14,7 +15,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         FrameFilter::CatmullRom
     };
     let pictures = std::env::args().find_map(|a| a.parse().ok()).unwrap_or(4);
-    let mut still = StillRenderer::new(config, Arc::new(Scene::default()), &[])?;
+    let scene = match std::env::args().find(|a| a.ends_with(".json")) {
+        Some(file) => Scene::from_json(&serde_json::from_str(&std::fs::read_to_string(file)?)?)?,
+        None => Scene::default(),
+    };
+    let mut still = StillRenderer::new(config, Arc::new(scene), &[])?;
     let size = FrameSize::new(640, 360)?;
     let camera = Camera::new([0.0, 2.0, 0.0], 0.0, 20.0, 60.0)?;
     for kind in [RendererKind::Cached, RendererKind::ScreenSpace] {
@@ -25,6 +30,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 renderer: kind,
                 samples: 2,
                 filter,
+                shared_background: std::env::args().any(|a| a == "shared"),
                 ..StillSettings::default()
             };
             still.render_with(camera, size, &settings, |_| {})?;

@@ -10,6 +10,7 @@ pub mod quality;
 pub mod scene;
 pub mod viewers;
 
+pub mod atmosphere;
 pub mod audit;
 pub mod cache;
 pub mod cells;

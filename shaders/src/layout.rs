@@ -103,6 +103,44 @@ gpu_struct! {
 }
 
 gpu_struct! {
+    /// Air, aerosol and ozone, and from where a view's tables look.
+    Air {
+        /// Rayleigh scattering at the ground, 1/m.
+        rayleigh_per_m: [f32; 3],
+        /// Height over which air falls to 1/e, m.
+        rayleigh_scale_m: f32,
+        /// Scattering by aerosol at the ground, 1/m.
+        mie_scattering_per_m: [f32; 3],
+        /// Height over which aerosol falls to 1/e, m.
+        mie_scale_m: f32,
+        /// Extinction by aerosol at the ground, 1/m.
+        mie_extinction_per_m: [f32; 3],
+        /// Mean cosine of the aerosol's phase.
+        mie_asymmetry: f32,
+        /// Absorption by ozone where it is densest, 1/m.
+        ozone_per_m: [f32; 3],
+        /// Altitude above which there is no air, m.
+        top_m: f32,
+        /// Radius of the ground, m.
+        radius_m: f32,
+        /// Altitude of the tables' eye, m.
+        altitude_m: f32,
+        /// Cosine of the sun's zenith angle there.
+        mu_sun: f32,
+        /// Lowest one for which the higher orders are tabulated.
+        mu_sun_lowest: f32,
+        /// Angular radius of the sun, rad.
+        sun_angular_radius_rad: f32,
+        /// Weight of the aerosol's phase in what divides the haze's radiance.
+        haze_mie_weight: f32,
+        /// First row that a pass makes.
+        first_row: u32,
+        /// Fills to 16 bytes.
+        pad_air: u32,
+    }
+}
+
+gpu_struct! {
     /// Where droplets or crystals scatter light to.
     Phase {
         /// Asymmetry of the Henyey-Greenstein part.
@@ -217,6 +255,48 @@ gpu_struct! {
         wispiness: f32,
         /// Padding.
         _pad_form: [f32; 3],
+        /// Spectral irradiance of the sun at the layer's base, facing it, W/(m² nm).
+        sun_at_base: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_base: f32,
+        /// How it grows with the share of the layer's height.
+        sun_slope: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_slope: f32,
+        /// And with its square.
+        sun_curve: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_curve: f32,
+    }
+}
+
+gpu_struct! {
+    /// What is seen at night beside sky and clouds.
+    Night {
+        /// Unit vector towards the moon.
+        moon_direction: [f32; 3],
+        /// 1 − cos of the moon's angular radius.
+        moon_one_minus_mu_disc: f32,
+        /// Twice the radiance of the full disc's surface, W/(m² nm sr).
+        moon_radiance: [f32; 3],
+        /// 1, or 0 where the moon takes the sun's place.
+        sun_disc: f32,
+        /// Unit vector from the moon to the sun.
+        moon_to_sun: [f32; 3],
+        /// Factor of the stars' light.
+        star_brightness: f32,
+        /// First row of the matrix from the cell to the stars' field.
+        star_x: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_x: f32,
+        /// Second row.
+        star_y: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_y: f32,
+        /// Third row.
+        star_z: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_z: f32,
     }
 }
 
@@ -239,6 +319,8 @@ gpu_struct! {
         light: Light,
         /// The layers.
         layers: [Layer; 4],
+        /// Moon and stars.
+        night: Night,
     }
 }
 

@@ -35,11 +35,15 @@ pub enum Kernel {
     ProbeField,
     /// Old maps on their way to new ones.
     BlendMaps,
+    /// The sky's table for an altitude.
+    MakeAirView,
+    /// The haze's table for an altitude.
+    MakeAirHaze,
 }
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 10] = [
         Self::MarchTexels,
         Self::MarchPixels,
         Self::AuditTexels,
@@ -48,6 +52,8 @@ impl Kernel {
         Self::Probe,
         Self::ProbeField,
         Self::BlendMaps,
+        Self::MakeAirView,
+        Self::MakeAirHaze,
     ];
 
     /// Name of the entry point.
@@ -62,6 +68,8 @@ impl Kernel {
             Self::Probe => "probe",
             Self::ProbeField => "probe_field",
             Self::BlendMaps => "blend_maps",
+            Self::MakeAirView => "make_air_view",
+            Self::MakeAirHaze => "make_air_haze",
         }
     }
 
@@ -89,6 +97,14 @@ impl Kernel {
             Self::BlendMaps => (
                 "cloud/blend_maps.wgsl",
                 include_str!("../wgsl/cloud/blend_maps.wgsl"),
+            ),
+            Self::MakeAirView => (
+                "sky/air_view.wgsl",
+                include_str!("../wgsl/sky/air_view.wgsl"),
+            ),
+            Self::MakeAirHaze => (
+                "sky/air_haze.wgsl",
+                include_str!("../wgsl/sky/air_haze.wgsl"),
             ),
         }
     }
@@ -153,6 +169,12 @@ pub struct Features {
     pub tone: Tone,
     /// What is shown instead of the picture.
     pub shown: Shown,
+    /// The air is read from tables instead of being a closed formula (composite).
+    pub physical_sky: bool,
+    /// The scene has a moon (composite).
+    pub moon: bool,
+    /// The scene has stars (composite).
+    pub stars: bool,
 }
 
 impl Default for Features {
@@ -173,6 +195,9 @@ impl Default for Features {
             shared_background: false,
             tone: Tone::Aces,
             shown: Shown::Picture,
+            physical_sky: false,
+            moon: false,
+            stars: false,
         }
     }
 }
@@ -204,6 +229,9 @@ impl Features {
                 shared_background: bits & 1 != 0,
                 tone: [Tone::Aces, Tone::Agx, Tone::Neutral][((bits + count) % 3) as usize],
                 shown: Shown::Picture,
+                physical_sky: (bits ^ count) & 1 != 0,
+                moon: bits & 8 != 0,
+                stars: bits & 2 != 0,
             })
         })
     }
@@ -239,6 +267,13 @@ impl Features {
             ("SHARED_BACKGROUND", self.shared_background),
             ("TONE_AGX", self.tone == Tone::Agx),
             ("TONE_NEUTRAL", self.tone == Tone::Neutral),
+            ("PHYSICAL_SKY", self.physical_sky),
+            ("MOON", self.moon),
+            ("STARS", self.stars),
+            (
+                "HAZE_OF_SPHERES",
+                self.physical_sky && self.shared_background && !self.ray_list,
+            ),
         ] {
             if set {
                 definitions.insert(name.to_owned(), ShaderDefValue::Bool(true));
@@ -284,6 +319,16 @@ const MODULES: &[(&str, &str)] = &[
     (
         "sky/analytic.wgsl",
         include_str!("../wgsl/sky/analytic.wgsl"),
+    ),
+    ("sky/night.wgsl", include_str!("../wgsl/sky/night.wgsl")),
+    ("sky/air.wgsl", include_str!("../wgsl/sky/air.wgsl")),
+    (
+        "sky/air_march.wgsl",
+        include_str!("../wgsl/sky/air_march.wgsl"),
+    ),
+    (
+        "sky/physical.wgsl",
+        include_str!("../wgsl/sky/physical.wgsl"),
     ),
     (
         "composite/view.wgsl",
@@ -354,7 +399,15 @@ pub fn compose_edited(
         features,
         message,
     };
-    let definitions = features.definitions();
+    // Only the picture itself is composited with the air's tables, moon and stars.
+    let is_picture = kernel == Kernel::Composite && features.shown == Shown::Picture;
+    let definitions = Features {
+        physical_sky: features.physical_sky && is_picture,
+        moon: features.moon && is_picture,
+        stars: features.stars && is_picture,
+        ..features
+    }
+    .definitions();
     let mut composer = Composer::default();
     for (path, source) in MODULES {
         let added = composer.add_composable_module(ComposableModuleDescriptor {

@@ -99,6 +99,7 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::Sky>(Kernel::MarchTexels);
     check::<layout::Light>(Kernel::MarchTexels);
     check::<layout::Layer>(Kernel::MarchTexels);
+    check::<layout::Night>(Kernel::MarchTexels);
     check::<layout::Scene>(Kernel::MarchTexels);
     check::<layout::TileWork>(Kernel::MarchTexels);
     check::<layout::AuditWork>(Kernel::AuditTexels);
@@ -106,5 +107,6 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::Reference>(Kernel::MarchTexels);
     check::<layout::PageTable>(Kernel::Composite);
     check::<layout::View>(Kernel::Composite);
+    check::<layout::Air>(Kernel::MakeAirView);
     check::<layout::ListedRay>(Kernel::MarchPixels);
 }

@@ -144,3 +144,36 @@ fn a_sheet_of_ice_reads_one_map_and_no_noise() {
         assert!(!march.contains(name), "{march:?}");
     }
 }
+
+#[test]
+fn only_a_scene_whose_air_is_computed_has_tables_of_it() {
+    let names = [
+        "air",
+        "air base",
+        "sky",
+        "aerosol",
+        "haze",
+        "haze extinction",
+    ];
+    for (model, is_there) in [("analytic", false), ("uniform", false), ("physical", true)] {
+        let document = json!({"version": 1, "layers": [], "atmosphere": {"model": model}});
+        let (inventory, reads) = rendered(&document, RendererKind::Cached);
+        for name in names {
+            assert_eq!(
+                inventory.has(name),
+                is_there,
+                "{model}, {name}: {inventory:?}"
+            );
+        }
+        for kernel in ["make_air_view", "make_air_haze"] {
+            assert_eq!(reads.contains_key(kernel), is_there, "{model}: {reads:?}");
+        }
+        assert_eq!(
+            reads["composite"].contains("air_table"),
+            is_there,
+            "{reads:?}"
+        );
+        // Haze is in front of clouds, of which there are none.
+        assert!(!reads["composite"].contains("source_table"), "{reads:?}");
+    }
+}

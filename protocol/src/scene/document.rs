@@ -26,6 +26,10 @@ document! {
         "planet" => planet: PlanetChoice = PlanetChoice::default(),
         /// Direction and strength of the sun.
         "sun" => sun: SunDocument = SunDocument::default(),
+        /// The moon; null for none.
+        "moon" => moon: Option<MoonDocument> = None,
+        /// The stars; null for none.
+        "stars" => stars: Option<StarsDocument> = None,
         /// The clear sky.
         "atmosphere" => atmosphere: AtmosphereDocument = AtmosphereDocument::default(),
         /// Shells that hold clouds, 0 to 4.
@@ -117,14 +121,65 @@ document! {
     }
 }
 
+document! {
+    /// The moon. It lights clouds and air instead of the sun where it gives more light than what is left of the sun's.
+    pub struct MoonDocument {
+        /// Clockwise from north, towards the moon.
+        "azimuth_deg" => azimuth_deg: f64 = 200.0,
+        /// Above the horizon, towards the moon.
+        "elevation_deg" => elevation_deg: f64 = 35.0,
+        /// The angle between sun and viewer as seen from the moon: 0 full, 90 half, 180 new.
+        "phase_angle_deg" => phase_angle_deg: f64 = 0.0,
+    }
+}
+
+document! {
+    /// A made-up field of as many stars as the naked eye sees. They turn about the celestial pole, which stands in the
+    /// north as high as the latitude.
+    pub struct StarsDocument {
+        /// Factor of their light.
+        "brightness" => brightness: f64 = 1.0,
+        /// Where on the planet one stands; negative in the south.
+        "latitude_deg" => latitude_deg: f64 = 50.0,
+        /// How far the sky has turned.
+        "turn_deg" => turn_deg: f64 = 0.0,
+    }
+}
+
 /// The clear sky, by `model`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "model", rename_all = "kebab-case")]
 pub enum AtmosphereDocument {
     /// A closed formula.
     Analytic(AnalyticAtmosphereDocument),
+    /// Rayleigh, aerosol and ozone, scattered more than once.
+    Physical(PhysicalAtmosphereDocument),
     /// No air; the same light from everywhere.
     Uniform(UniformAtmosphereDocument),
+}
+
+document! {
+    /// Air that scatters (Rayleigh), aerosol that scatters and absorbs (Mie), and ozone that absorbs, around a sphere. A
+    /// flat world has no such air; there the closed formula with the same aerosol stands for it.
+    pub struct PhysicalAtmosphereDocument {
+        /// Vertical optical depth of aerosol at 550 nm: 0.005 the clearest air, 0.1 clean, 0.4 hazy.
+        "aerosol_optical_depth" => aerosol_optical_depth: f64 = 0.06,
+        /// How much more aerosol takes out of blue light than of red: its optical depth goes with the wavelength to the
+        /// power of minus this (Angstrom 1929).
+        "aerosol_angstrom_exponent" => aerosol_angstrom_exponent: f64 = 0.0,
+        /// Share of the aerosol's extinction that is scattering. Bruneton 2017, demo.cc `kMieSingleScatteringAlbedo`.
+        "aerosol_single_scattering_albedo" => aerosol_single_scattering_albedo: f64 = 0.9,
+        /// Mean cosine of the aerosol's Henyey-Greenstein phase. Bruneton 2017, demo.cc `kMiePhaseFunctionG`.
+        "aerosol_asymmetry" => aerosol_asymmetry: f64 = 0.8,
+        /// Height over which aerosol falls to 1/e.
+        "aerosol_scale_height_m" => aerosol_scale_height_m: f64 = 1200.0,
+        /// Height over which air falls to 1/e.
+        "rayleigh_scale_height_m" => rayleigh_scale_height_m: f64 = 8000.0,
+        /// How much air there is, in that of the Earth.
+        "rayleigh_density" => rayleigh_density: f64 = 1.0,
+        /// Ozone in Dobson units; the Earth has about 300.
+        "ozone_dobson" => ozone_dobson: f64 = 300.0,
+    }
 }
 
 document! {
@@ -461,21 +516,42 @@ fn only_model_keys(
 impl ReadJson for AtmosphereDocument {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
         let members = ObjectReader::new(value, pointer)?;
-        let analytic = read_model(&members, true, &[("analytic", true), ("uniform", false)])?;
-        if analytic {
-            only_model_keys(&members, "analytic", AnalyticAtmosphereDocument::KEYS)?;
-            AnalyticAtmosphereDocument::read_members_or(
-                &members,
-                AnalyticAtmosphereDocument::default(),
-            )
-            .map(Self::Analytic)
-        } else {
-            only_model_keys(&members, "uniform", UniformAtmosphereDocument::KEYS)?;
-            UniformAtmosphereDocument::read_members_or(
-                &members,
-                UniformAtmosphereDocument::default(),
-            )
-            .map(Self::Uniform)
+        #[derive(Clone, Copy)]
+        enum Model {
+            Analytic,
+            Physical,
+            Uniform,
+        }
+        let names = [
+            ("analytic", Model::Analytic),
+            ("physical", Model::Physical),
+            ("uniform", Model::Uniform),
+        ];
+        match read_model(&members, Model::Analytic, &names)? {
+            Model::Analytic => {
+                only_model_keys(&members, "analytic", AnalyticAtmosphereDocument::KEYS)?;
+                AnalyticAtmosphereDocument::read_members_or(
+                    &members,
+                    AnalyticAtmosphereDocument::default(),
+                )
+                .map(Self::Analytic)
+            }
+            Model::Physical => {
+                only_model_keys(&members, "physical", PhysicalAtmosphereDocument::KEYS)?;
+                PhysicalAtmosphereDocument::read_members_or(
+                    &members,
+                    PhysicalAtmosphereDocument::default(),
+                )
+                .map(Self::Physical)
+            }
+            Model::Uniform => {
+                only_model_keys(&members, "uniform", UniformAtmosphereDocument::KEYS)?;
+                UniformAtmosphereDocument::read_members_or(
+                    &members,
+                    UniformAtmosphereDocument::default(),
+                )
+                .map(Self::Uniform)
+            }
         }
     }
 }

@@ -6,6 +6,7 @@ mod family;
 mod layer;
 mod light;
 mod maps;
+mod night;
 pub mod ranges;
 mod sky;
 #[cfg(test)]
@@ -19,16 +20,18 @@ pub use density::{CirrusDensity, DensityModel, GridDensity, Shape, WeatherDensit
 pub use document::{
     AnalyticAtmosphereDocument, AtmosphereDocument, BoxDocument, CirrusDocument, DensityDocument,
     DraineDocument, GridDocument, HgDocument, HgDraineDocument, HomogeneousDocument, LayerDocument,
-    LightDocument, PhaseDocument, PlanetChoice, PlanetDocument, SCENE_VERSION, SceneDocument,
-    ShapeDocument, SphereDocument, SunDocument, UniformAtmosphereDocument, WeatherDocument,
-    WindDocument,
+    LightDocument, MoonDocument, PhaseDocument, PhysicalAtmosphereDocument, PlanetChoice,
+    PlanetDocument, SCENE_VERSION, SceneDocument, ShapeDocument, SphereDocument, StarsDocument,
+    SunDocument, UniformAtmosphereDocument, WeatherDocument, WindDocument,
 };
 pub use family::{CloudForm, Family, WeatherPattern, WeatherProfile};
 pub use layer::CloudLayer;
 pub use light::{Light, PhaseFunction};
 pub use maps::{MapFiles, MapKind, MapsDocument};
+pub use night::{Moon, Stars};
 pub use sky::{
-    AnalyticAtmosphere, Atmosphere, FLAT_RADIUS_M, Planet, Sun, UniformAtmosphere, Wind,
+    AnalyticAtmosphere, Atmosphere, FLAT_RADIUS_M, PhysicalAtmosphere, Planet, Sun,
+    UniformAtmosphere, Wind,
 };
 use timeline::Timeline;
 pub use timeline::{
@@ -51,6 +54,8 @@ pub type SceneError = ValueError;
 pub struct Scene {
     planet: Planet,
     sun: Sun,
+    moon: Option<Moon>,
+    stars: Option<Stars>,
     atmosphere: Atmosphere,
     layers: Vec<CloudLayer>,
     light: Light,
@@ -76,6 +81,8 @@ impl Scene {
             version: SCENE_VERSION,
             planet: (&self.planet).into(),
             sun: (&self.sun).into(),
+            moon: self.moon.as_ref().map(Into::into),
+            stars: self.stars.as_ref().map(Into::into),
             atmosphere: (&self.atmosphere).into(),
             layers: self.layers.iter().map(Into::into).collect(),
             light: (&self.light).into(),
@@ -99,9 +106,27 @@ impl Scene {
         &self.sun
     }
 
+    /// The moon, if there is one.
+    pub fn moon(&self) -> Option<&Moon> {
+        self.moon.as_ref()
+    }
+
+    /// The stars, if there are any.
+    pub fn stars(&self) -> Option<&Stars> {
+        self.stars.as_ref()
+    }
+
     /// The clear sky.
     pub fn atmosphere(&self) -> &Atmosphere {
         &self.atmosphere
+    }
+
+    /// The air of scenes that have it computed: none in a flat world, around which no air can lie.
+    pub fn physical_air(&self) -> Option<&PhysicalAtmosphere> {
+        match &self.atmosphere {
+            Atmosphere::Physical(air) if !self.planet.is_flat() => Some(air),
+            _ => None,
+        }
     }
 
     /// Shells that hold clouds, at most [`LAYERS_MAX`].
@@ -168,6 +193,14 @@ impl TryFrom<SceneDocument> for Scene {
         Ok(Self {
             planet: Planet::try_from(document.planet).map_err(|e| e.under("/planet"))?,
             sun: Sun::try_from(document.sun).map_err(|e| e.under("/sun"))?,
+            moon: document
+                .moon
+                .map(|moon| Moon::try_from(moon).map_err(|e| e.under("/moon")))
+                .transpose()?,
+            stars: document
+                .stars
+                .map(|stars| Stars::try_from(stars).map_err(|e| e.under("/stars")))
+                .transpose()?,
             atmosphere: Atmosphere::try_from(document.atmosphere)
                 .map_err(|e| e.under("/atmosphere"))?,
             layers: layers_from(document.layers).map_err(|e| e.under("/layers"))?,

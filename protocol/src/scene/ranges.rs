@@ -10,10 +10,28 @@ pub const GROUND_ALBEDO: NumberRange = NumberRange::new(0.0, 1.0);
 pub const AZIMUTH_DEG: NumberRange = NumberRange::new(-360.0, 360.0);
 /// `/sun/elevation_deg`
 pub const ELEVATION_DEG: NumberRange = NumberRange::new(-90.0, 90.0);
+/// `/moon/phase_angle_deg`
+pub const PHASE_ANGLE_DEG: NumberRange = NumberRange::new(-180.0, 180.0);
+/// `/stars/brightness`
+pub const STAR_BRIGHTNESS: NumberRange = NumberRange::new(0.0, 1.0e3);
+/// `/stars/turn_deg`
+pub const TURN_DEG: NumberRange = NumberRange::new(-1.0e6, 1.0e6);
 /// each of `/sun/irradiance_w_per_m2_nm`
 pub const IRRADIANCE_W_PER_M2_NM: NumberRange = NumberRange::new(0.0, 1.0e4);
 /// `/atmosphere/aerosol_optical_depth`
 pub const AEROSOL_OPTICAL_DEPTH: NumberRange = NumberRange::new(0.0, 5.0);
+/// `/atmosphere/aerosol_angstrom_exponent`
+pub const AEROSOL_ANGSTROM_EXPONENT: NumberRange = NumberRange::new(-1.0, 4.0);
+/// `/atmosphere/aerosol_single_scattering_albedo`
+pub const AEROSOL_SINGLE_SCATTERING_ALBEDO: NumberRange = NumberRange::new(0.0, 1.0);
+/// `/atmosphere/aerosol_asymmetry`
+pub const AEROSOL_ASYMMETRY: NumberRange = NumberRange::new(-0.95, 0.95);
+/// `/atmosphere/aerosol_scale_height_m` and `rayleigh_scale_height_m`
+pub const SCALE_HEIGHT_M: NumberRange = NumberRange::new(200.0, 2.0e4);
+/// `/atmosphere/rayleigh_density`
+pub const RAYLEIGH_DENSITY: NumberRange = NumberRange::new(0.0, 20.0);
+/// `/atmosphere/ozone_dobson`
+pub const OZONE_DOBSON: NumberRange = NumberRange::new(0.0, 2000.0);
 /// How many layers a scene may have.
 pub const LAYERS_MAX: usize = 4;
 /// How many characters a layer's name may have; at least one.
@@ -80,7 +98,7 @@ pub const WIND_SPEED_M_PER_S: NumberRange = NumberRange::new(0.0, 200.0);
 pub const ADAPTATION_S: NumberRange = NumberRange::new(0.0, 60.0);
 /// `/exposure_ev`, and `min_ev` and `max_ev` of `/tone/auto_exposure`
 pub const EXPOSURE_EV: NumberRange = NumberRange::new(-30.0, 30.0);
-/// `/sun/place_and_time/latitude_deg`
+/// `/sun/place_and_time/latitude_deg` and `/stars/latitude_deg`
 pub const LATITUDE_DEG: NumberRange = NumberRange::new(-90.0, 90.0);
 /// `/sun/place_and_time/longitude_deg`
 pub const LONGITUDE_DEG: NumberRange = NumberRange::new(-180.0, 180.0);

@@ -3,8 +3,8 @@
 use glam::DVec3;
 
 use super::document::{
-    AnalyticAtmosphereDocument, AtmosphereDocument, PlanetChoice, PlanetDocument, SunDocument,
-    UniformAtmosphereDocument, WindDocument,
+    AnalyticAtmosphereDocument, AtmosphereDocument, PhysicalAtmosphereDocument, PlanetChoice,
+    PlanetDocument, SunDocument, UniformAtmosphereDocument, WindDocument,
 };
 use super::ranges;
 use super::timeline::PlaceAndTime;
@@ -149,8 +149,93 @@ impl From<&Sun> for SunDocument {
 pub enum Atmosphere {
     /// A closed formula.
     Analytic(AnalyticAtmosphere),
+    /// Rayleigh, aerosol and ozone, scattered more than once.
+    Physical(PhysicalAtmosphere),
     /// No air; the same light from everywhere.
     Uniform(UniformAtmosphere),
+}
+
+/// Air, aerosol and ozone around a sphere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PhysicalAtmosphere {
+    aerosol_optical_depth: f64,
+    aerosol_angstrom_exponent: f64,
+    aerosol_single_scattering_albedo: f64,
+    aerosol_asymmetry: f64,
+    aerosol_scale_height_m: f64,
+    rayleigh_scale_height_m: f64,
+    rayleigh_density: f64,
+    ozone_dobson: f64,
+}
+
+impl PhysicalAtmosphere {
+    /// Vertical optical depth of aerosol at 550 nm.
+    pub fn aerosol_optical_depth(&self) -> f64 {
+        self.aerosol_optical_depth
+    }
+
+    /// Its optical depth goes with the wavelength to the power of minus this.
+    pub fn aerosol_angstrom_exponent(&self) -> f64 {
+        self.aerosol_angstrom_exponent
+    }
+
+    /// Share of the aerosol's extinction that is scattering.
+    pub fn aerosol_single_scattering_albedo(&self) -> f64 {
+        self.aerosol_single_scattering_albedo
+    }
+
+    /// Mean cosine of the aerosol's phase.
+    pub fn aerosol_asymmetry(&self) -> f64 {
+        self.aerosol_asymmetry
+    }
+
+    /// Height over which aerosol falls to 1/e.
+    pub fn aerosol_scale_height_m(&self) -> f64 {
+        self.aerosol_scale_height_m
+    }
+
+    /// Height over which air falls to 1/e.
+    pub fn rayleigh_scale_height_m(&self) -> f64 {
+        self.rayleigh_scale_height_m
+    }
+
+    /// How much air there is, in that of the Earth.
+    pub fn rayleigh_density(&self) -> f64 {
+        self.rayleigh_density
+    }
+
+    /// Ozone in Dobson units.
+    pub fn ozone_dobson(&self) -> f64 {
+        self.ozone_dobson
+    }
+}
+
+impl TryFrom<PhysicalAtmosphereDocument> for PhysicalAtmosphere {
+    type Error = ValueError;
+
+    fn try_from(document: PhysicalAtmosphereDocument) -> Result<Self, ValueError> {
+        Ok(Self {
+            aerosol_optical_depth: ranges::AEROSOL_OPTICAL_DEPTH
+                .check("/aerosol_optical_depth", document.aerosol_optical_depth)?,
+            aerosol_angstrom_exponent: ranges::AEROSOL_ANGSTROM_EXPONENT.check(
+                "/aerosol_angstrom_exponent",
+                document.aerosol_angstrom_exponent,
+            )?,
+            aerosol_single_scattering_albedo: ranges::AEROSOL_SINGLE_SCATTERING_ALBEDO.check(
+                "/aerosol_single_scattering_albedo",
+                document.aerosol_single_scattering_albedo,
+            )?,
+            aerosol_asymmetry: ranges::AEROSOL_ASYMMETRY
+                .check("/aerosol_asymmetry", document.aerosol_asymmetry)?,
+            aerosol_scale_height_m: ranges::SCALE_HEIGHT_M
+                .check("/aerosol_scale_height_m", document.aerosol_scale_height_m)?,
+            rayleigh_scale_height_m: ranges::SCALE_HEIGHT_M
+                .check("/rayleigh_scale_height_m", document.rayleigh_scale_height_m)?,
+            rayleigh_density: ranges::RAYLEIGH_DENSITY
+                .check("/rayleigh_density", document.rayleigh_density)?,
+            ozone_dobson: ranges::OZONE_DOBSON.check("/ozone_dobson", document.ozone_dobson)?,
+        })
+    }
 }
 
 /// An environment of one radiance in every direction.
@@ -188,6 +273,9 @@ impl TryFrom<AtmosphereDocument> for Atmosphere {
                 aerosol_optical_depth: ranges::AEROSOL_OPTICAL_DEPTH
                     .check("/aerosol_optical_depth", document.aerosol_optical_depth)?,
             })),
+            AtmosphereDocument::Physical(document) => {
+                PhysicalAtmosphere::try_from(document).map(Self::Physical)
+            }
             AtmosphereDocument::Uniform(document) => Ok(Self::Uniform(UniformAtmosphere {
                 radiance_w_per_m2_nm_sr: ranges::ENVIRONMENT_RADIANCE
                     .check_each("/radiance_w_per_m2_nm_sr", document.radiance_w_per_m2_nm_sr)?,
@@ -201,6 +289,16 @@ impl From<&Atmosphere> for AtmosphereDocument {
         match atmosphere {
             Atmosphere::Analytic(sky) => Self::Analytic(AnalyticAtmosphereDocument {
                 aerosol_optical_depth: sky.aerosol_optical_depth,
+            }),
+            Atmosphere::Physical(sky) => Self::Physical(PhysicalAtmosphereDocument {
+                aerosol_optical_depth: sky.aerosol_optical_depth,
+                aerosol_angstrom_exponent: sky.aerosol_angstrom_exponent,
+                aerosol_single_scattering_albedo: sky.aerosol_single_scattering_albedo,
+                aerosol_asymmetry: sky.aerosol_asymmetry,
+                aerosol_scale_height_m: sky.aerosol_scale_height_m,
+                rayleigh_scale_height_m: sky.rayleigh_scale_height_m,
+                rayleigh_density: sky.rayleigh_density,
+                ozone_dobson: sky.ozone_dobson,
             }),
             Atmosphere::Uniform(sky) => Self::Uniform(UniformAtmosphereDocument {
                 radiance_w_per_m2_nm_sr: sky.radiance_w_per_m2_nm_sr,

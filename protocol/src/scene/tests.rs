@@ -23,6 +23,8 @@ fn the_default_document_is_pinned() {
             "azimuth_deg": 150.0, "elevation_deg": 40.0, "place_and_time": null,
             "irradiance_w_per_m2_nm": [1.474, 1.8504, 1.91198]
         },
+        "moon": null,
+        "stars": null,
         "atmosphere": {"model": "analytic", "aerosol_optical_depth": 0.08},
         "layers": [{
             "family": null, "name": "low", "base_altitude_m": 1500.0, "top_altitude_m": 4000.0,

@@ -12,6 +12,7 @@
 //! Rays are in a local frame: metres, y up, origin on the ground at a world position, the planet's centre at
 //! (0, −R, 0). See [`World`].
 
+pub mod air;
 pub mod density;
 mod error;
 mod field;

@@ -5,6 +5,7 @@
 //! model's; what follows from them is computed here anew.
 
 use crate::Ray;
+use crate::air::{Air, AirLight, AlongPath, Toward};
 use crate::phase::{hg_per_sr, one_minus_mu, one_minus_mu_of_radius};
 use crate::shell::Globe;
 use crate::transport::one_minus_exp_over;
@@ -22,11 +23,22 @@ const AEROSOL_SCALE_HEIGHT_M: f64 = 1_200.0;
 const AEROSOL_ASYMMETRY: f64 = 0.76;
 /// The model's factor of the higher orders.
 const DIFFUSE_FACTOR: f64 = 1.5;
+/// The night sky's own light, W/(m² nm sr): 21.6 magnitudes per square arcsecond (F. Patat 2003).
+const AIRGLOW_RADIANCE: DVec3 = DVec3::new(2.8e-9, 3.4e-9, 3.9e-9);
 /// Angular radius of the sun as seen from the earth.
 pub const SUN_ANGULAR_RADIUS_DEG: f64 = 0.2666;
 /// Rings and sectors over which the model takes the hemisphere's mean.
 const MEAN_RINGS: u32 = 16;
 const MEAN_SECTORS: u32 = 32;
+
+/// Radiance of the sun's disc over its mean where its surface is seen at a cosine µ: the renderer's fit of µ^α with
+/// α = −0.023 + 0.292/λ, λ in µm (Hestroffer & Magnan 1998).
+#[must_use]
+pub fn limb(mu: f64) -> DVec3 {
+    DVec3::new(0.380_422, 0.280_491_5, 0.174_775_3)
+        + DVec3::new(1.302_639_3, 1.447_898_5, 1.558_243_8) * mu
+        + DVec3::new(-0.485_334_8, -0.477_635_4, -0.412_042_7) * (mu * mu)
+}
 
 /// Clear air along a direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,7 +50,7 @@ pub struct ClearSky {
 }
 
 /// What lies behind all clouds.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Background {
     /// Radiance of sky and sun or of the ground.
     pub radiance: DVec3,
@@ -50,10 +62,53 @@ pub struct Background {
     pub air_share: DVec3,
     /// Whether the ray ends on the ground.
     pub on_ground: bool,
+    /// Light of the air along the ray, where it is integrated.
+    along: Option<AlongPath>,
+}
+
+/// Air between the eye and a cloud.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Haze {
+    /// Share of the cloud's light that comes through.
+    pub kept: DVec3,
+    /// Radiance of the air in front of it.
+    pub added: DVec3,
+}
+
+impl Haze {
+    /// No air at all.
+    pub const NONE: Self = Self {
+        kept: DVec3::ONE,
+        added: DVec3::ZERO,
+    };
+}
+
+impl Background {
+    /// The air as far as a distance, m, in front of a layer with a mean extinction of the air up to it, 1/m, which the
+    /// closed formula counts with.
+    #[must_use]
+    pub fn haze(&self, light: &SkyLight, distance_m: f64, air_extinction_per_m: DVec3) -> Haze {
+        if let Some(along) = &self.along {
+            let AirLight {
+                scattered_per_sr,
+                transmittance,
+            } = along.until(distance_m);
+            return Haze {
+                kept: transmittance,
+                added: light.sun_irradiance * scattered_per_sr,
+            };
+        }
+        let kept = each(-distance_m * air_extinction_per_m, f64::exp);
+        let share = ((DVec3::ONE - kept) * self.air_share).clamp(DVec3::ZERO, DVec3::ONE);
+        Haze {
+            kept,
+            added: self.air * share,
+        }
+    }
 }
 
 /// Light of a scene for clouds around one altitude.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct SkyLight {
     /// Unit vector towards the sun.
     pub sun_direction: DVec3,
@@ -69,7 +124,10 @@ pub struct SkyLight {
     pub ground_radiance: DVec3,
     /// Radiance that comes from everywhere beside that of the air.
     pub environment_radiance: DVec3,
+    /// Whether the light's disc is the sun's. The moon's own disc and the stars are the renderer's alone.
+    shows_disc: bool,
     globe: Globe,
+    air: Option<Air>,
     radius_m: f64,
     rayleigh: DVec3,
     aerosol: f64,
@@ -98,11 +156,47 @@ pub fn relative_air_mass(planet_radius_m: f64, shell_height_m: f64, mu: f64) -> 
 }
 
 impl SkyLight {
-    /// The light of a scene for clouds around an altitude, m.
+    /// The light of a scene for clouds around an altitude, m: the sun's, or the moon's where that is more.
     #[must_use]
     pub fn new(scene: &Scene, cloud_altitude_m: f64) -> Self {
+        let irradiance = DVec3::from_array(scene.sun().irradiance_w_per_m2_nm());
+        let sun = Self::of(scene, cloud_altitude_m, scene.sun().direction(), irradiance);
+        let Some(moon) = scene.moon() else {
+            return sun;
+        };
+        let share = moon.share_of_sunlight();
+        let mut moonlit = Self::of(
+            scene,
+            cloud_altitude_m,
+            moon.direction(),
+            irradiance * share,
+        );
+        moonlit.shows_disc = false;
+        let total = |light: &Self| {
+            let sky = light.mean_radiance - light.environment_radiance;
+            (light.irradiance_at_clouds + PI * sky).element_sum()
+        };
+        if total(&moonlit) > total(&sun) {
+            moonlit
+        } else {
+            sun
+        }
+    }
+
+    fn of(
+        scene: &Scene,
+        cloud_altitude_m: f64,
+        sun_direction: DVec3,
+        sun_irradiance: DVec3,
+    ) -> Self {
         let (rayleigh, aerosol, environment_radiance) = match scene.atmosphere() {
             Atmosphere::Analytic(sky) => (
+                RAYLEIGH_OPTICAL_DEPTH,
+                sky.aerosol_optical_depth(),
+                DVec3::ZERO,
+            ),
+            // Of a flat world, which has no such air.
+            Atmosphere::Physical(sky) => (
                 RAYLEIGH_OPTICAL_DEPTH,
                 sky.aerosol_optical_depth(),
                 DVec3::ZERO,
@@ -121,14 +215,18 @@ impl SkyLight {
         };
         let angular_radius_rad = SUN_ANGULAR_RADIUS_DEG.to_radians();
         let mut light = Self {
-            sun_direction: scene.sun().direction(),
+            sun_direction,
             sun_one_minus_mu: one_minus_mu_of_radius(angular_radius_rad),
-            sun_irradiance: DVec3::from_array(scene.sun().irradiance_w_per_m2_nm()),
+            sun_irradiance,
+            shows_disc: true,
             irradiance_at_clouds: DVec3::ZERO,
             mean_radiance: DVec3::ZERO,
             ground_radiance: DVec3::ZERO,
             environment_radiance,
             globe,
+            air: scene
+                .physical_air()
+                .map(|air| Air::new(air, scene.planet(), angular_radius_rad)),
             radius_m,
             rayleigh,
             aerosol,
@@ -137,6 +235,16 @@ impl SkyLight {
             diffuse_per_sr: DVec3::ZERO,
         };
         let mu_sun = light.sun_direction.y;
+        if let Some(air) = &light.air {
+            let irradiance = light.sun_irradiance;
+            light.irradiance_at_clouds =
+                irradiance * air.sun_transmittance(cloud_altitude_m, mu_sun);
+            light.environment_radiance = AIRGLOW_RADIANCE;
+            light.mean_radiance = light.environment_radiance
+                + irradiance * air.upper_mean_per_sr(cloud_altitude_m, mu_sun);
+            light.ground_radiance = irradiance * air.ground_per_sr(mu_sun);
+            return light;
+        }
         let (sun_rayleigh, sun_aerosol) = light.column(mu_sun);
         light.sun_column = sun_rayleigh + sun_aerosol;
         light.lit = smoothstep(-0.1, 0.05, mu_sun);
@@ -217,6 +325,9 @@ impl SkyLight {
     /// Radiance of the sun's disc as far as a direction sees it, above the air. Its rim is as soft as the renderer's.
     #[must_use]
     pub fn sun_disc_radiance(&self, direction: DVec3) -> DVec3 {
+        if !self.shows_disc {
+            return DVec3::ZERO;
+        }
         let x = one_minus_mu(direction, self.sun_direction);
         let inside = 1.0
             - smoothstep(
@@ -224,7 +335,19 @@ impl SkyLight {
                 1.15 * self.sun_one_minus_mu,
                 x,
             );
-        inside * self.sun_irradiance / (2.0 * PI * self.sun_one_minus_mu)
+        let surface_mu = (1.0 - x / self.sun_one_minus_mu).max(0.0).sqrt();
+        inside * limb(surface_mu) * self.sun_irradiance / (2.0 * PI * self.sun_one_minus_mu)
+    }
+
+    /// Spectral irradiance of the sun at an altitude, facing it; the closed formula knows only that at the clouds.
+    #[must_use]
+    pub fn sun_at(&self, altitude_m: f64) -> DVec3 {
+        match &self.air {
+            Some(air) => {
+                self.sun_irradiance * air.sun_transmittance(altitude_m, self.sun_direction.y)
+            }
+            None => self.irradiance_at_clouds,
+        }
     }
 
     /// Mean extinction of the air between the ground and an altitude, 1/m.
@@ -238,6 +361,9 @@ impl SkyLight {
     /// among four pixels.
     #[must_use]
     pub fn background(&self, ray: &Ray, air_direction: DVec3) -> Background {
+        if let Some(air) = &self.air {
+            return self.background_of_air(air, ray, air_direction, false);
+        }
         let sky = self.clear_sky(air_direction);
         let air_share = each(sky.transmittance, |t| 1.0 / (1.0 - t).max(1e-6));
         let ground_m = self.globe.ground_m(ray);
@@ -268,6 +394,58 @@ impl SkyLight {
             air: sky.radiance,
             air_share,
             on_ground: ground_m.is_some(),
+            along: None,
+        }
+    }
+
+    /// What lies behind all clouds along a ray that left them, without the sun's disc. Integrated air is integrated
+    /// roughly.
+    #[must_use]
+    pub fn environment(&self, ray: &Ray) -> DVec3 {
+        match &self.air {
+            Some(air) => self.background_of_air(air, ray, ray.direction, true),
+            None => self.background(ray, ray.direction),
+        }
+        .without_sun
+    }
+
+    /// The air that is integrated, where the scene has such.
+    #[must_use]
+    pub fn air(&self) -> Option<&Air> {
+        self.air.as_ref()
+    }
+
+    fn background_of_air(
+        &self,
+        air: &Air,
+        ray: &Ray,
+        air_direction: DVec3,
+        roughly: bool,
+    ) -> Background {
+        let altitude_m = self.globe.altitude_m(ray.origin_m);
+        let up = (ray.origin_m + DVec3::Y * self.radius_m).normalize_or(DVec3::Y);
+        let on_ground = self.globe.ground_m(ray).is_some();
+        let toward = Toward::new(air_direction, up, self.sun_direction);
+        let along = if roughly {
+            air.roughly_along(altitude_m, toward, on_ground)
+        } else {
+            air.along(altitude_m, toward, on_ground)
+        };
+        let all = along.all();
+        let scattered = self.environment_radiance + self.sun_irradiance * all.scattered_per_sr;
+        let ground = self.sun_irradiance * along.ground_per_sr * all.transmittance;
+        let sun = if on_ground {
+            DVec3::ZERO
+        } else {
+            self.sun_disc_radiance(ray.direction) * all.transmittance
+        };
+        Background {
+            radiance: scattered + ground + sun,
+            without_sun: scattered + ground,
+            air: scattered,
+            air_share: each(all.transmittance, |t| 1.0 / (1.0 - t).max(1e-6)),
+            on_ground,
+            along: Some(along),
         }
     }
 
@@ -308,6 +486,21 @@ mod tests {
                 .max_element()
                 < 1e-4
         );
+    }
+
+    #[test]
+    fn the_limb_is_darkened_as_measured() {
+        // µ^α over its mean 2/(α + 2): within a few hundredths wherever the fit is not at the very rim.
+        for mu in [0.2, 0.4, 0.6, 0.8, 1.0] {
+            for (channel, wavelength_um) in [0.680, 0.550, 0.440].into_iter().enumerate() {
+                let alpha = -0.023 + 0.292 / wavelength_um;
+                let law = f64::powf(mu, alpha) * (alpha + 2.0) / 2.0;
+                assert!(
+                    (limb(mu)[channel] / law - 1.0).abs() < 0.03,
+                    "{mu} {channel}"
+                );
+            }
+        }
     }
 
     #[test]

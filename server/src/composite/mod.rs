@@ -47,6 +47,9 @@ pub fn composite_key(
             linear_output,
             screen_space,
             tone: tone_of(scene.tone().curve()),
+            physical_sky: scene.physical_air().is_some(),
+            moon: scene.moon().is_some(),
+            stars: scene.stars().is_some(),
             ..Features::default()
         },
     }
@@ -105,6 +108,8 @@ pub fn ground_key(key: PipelineKey) -> PipelineKey {
             overlap: false,
             catmull_rom: false,
             upsample: false,
+            moon: false,
+            stars: false,
             ..key.features
         },
         ..key
@@ -151,6 +156,8 @@ pub struct CompositeInputs<'a> {
     pub key: PipelineKey,
     /// Group 0: the scene in the frame of the viewer's cell.
     pub scene: &'a wgpu::BindGroup,
+    /// Group 1: the air as it is seen from the viewer's altitude, where it is read from tables.
+    pub air: Option<&'a wgpu::BindGroup>,
     /// Group 2: the cell's cache or the viewer's marched pixels.
     pub layers: &'a wgpu::BindGroup,
     /// The viewer's camera.
@@ -283,7 +290,7 @@ impl Picture {
             timestamp_writes: timing.pass(TimedPass::Composite, 1),
         });
         pass.set_bind_group(0, inputs.scene, &[]);
-        pass.set_bind_group(1, &pipelines.empty_group, &[]);
+        pass.set_bind_group(1, inputs.air.unwrap_or(&pipelines.empty_group), &[]);
         pass.set_bind_group(2, inputs.layers, &[]);
         for (part, pipeline, rows) in [
             (&self.sky, pipeline, 0..ground_row),

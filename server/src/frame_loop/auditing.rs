@@ -273,7 +273,7 @@ mod tests {
         assert!(right.p95_percent < Some(8.0), "{right:?}");
         // The defect: the light has changed and nobody told the cache.
         renderer.scene = scene_with_sun_at(240.0);
-        renderer.light = sky_light(&renderer.scene, renderer.active[0].proxy_altitude_m);
+        renderer.light = sky_light(&renderer.scene, None, renderer.active[0].proxy_altitude_m);
         renderer.audit.restart();
         let wrong = audited(&mut renderer);
         assert!(

@@ -241,6 +241,12 @@ impl SkyRenderer {
                 label: Some("meter"),
             });
         let key = self.meter_key();
+        let air = self.air_views.group(
+            &self.gpu,
+            &self.pipelines,
+            &mut encoder,
+            f64::from(view.altitude_m),
+        );
         self.timing.begin();
         meter.picture.record(
             &self.gpu,
@@ -250,6 +256,7 @@ impl SkyRenderer {
             &CompositeInputs {
                 key,
                 scene: &cell.buffers.scene_group,
+                air: air.as_ref(),
                 layers: &layers,
                 view: &view,
                 ground_radius_m: None,

@@ -232,6 +232,12 @@ impl SkyRenderer {
                 view,
             ),
         };
+        let air = self.air_views.group(
+            &self.gpu,
+            &self.pipelines,
+            encoder,
+            f64::from(view.altitude_m),
+        );
         let (scene, field) = (
             cell.buffers.scene_group.clone(),
             cell.buffers.field_group().clone(),
@@ -242,6 +248,7 @@ impl SkyRenderer {
         let inputs = CompositeInputs {
             key: shown_key(plain, shown),
             scene: &scene,
+            air: air.as_ref(),
             layers: &layers,
             view: &view,
             ground_radius_m: ground_radius_m(&self.scene, &self.active, &view),
@@ -290,6 +297,12 @@ impl SkyRenderer {
             .create_command_encoder(&wgpu::CommandEncoderDescriptor {
                 label: Some("still"),
             });
+        let air = self.air_views.group(
+            &self.gpu,
+            &self.pipelines,
+            &mut encoder,
+            f64::from(view.altitude_m),
+        );
         let (scene, field) = (
             cell.buffers.scene_group.clone(),
             cell.buffers.field_group().clone(),
@@ -297,6 +310,7 @@ impl SkyRenderer {
         let inputs = CompositeInputs {
             key,
             scene: &scene,
+            air: air.as_ref(),
             layers: &layers,
             view: &view,
             ground_radius_m: ground_radius_m(&self.scene, &self.active, &view),

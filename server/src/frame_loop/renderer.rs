@@ -8,6 +8,7 @@ use super::qualities::Qualities;
 use super::sky_steps::steps_between;
 use super::sky_time::SkyTime;
 use super::viewers_on_device::ActiveViewer;
+use crate::atmosphere::{AirViews, BaseTables, table_keys};
 use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
 use crate::cells::Cells;
 use crate::clock;
@@ -21,7 +22,7 @@ use crate::gpu::{
 use crate::march::{
     ActiveLayer, Atlas, LayerBlend, MarchSettings, SkyLight, TexelMarch, active_layers, audit_key,
     drift_m_per_s, layer_features, pixels_key, placed_sheets, placed_weather, sky_light,
-    texels_key,
+    sun_angular_radius_rad, texels_key,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, RendererKind, Scene, ViewerId};
@@ -79,6 +80,9 @@ pub(super) struct SkyRenderer {
     /// The layers with proxy spheres where they would be if the scene had always been so.
     pub(super) ideal_active: Vec<ActiveLayer>,
     pub(super) light: SkyLight,
+    /// Tables of the scene's air, where it has such.
+    pub(super) air_base: Option<Arc<BaseTables>>,
+    pub(super) air_views: AirViews,
     pub(super) drifts: Vec<DVec3>,
     pub(super) active_cells: BTreeMap<CellId, ActiveCell>,
     pub(super) viewers: BTreeMap<ViewerId, ActiveViewer>,
@@ -112,7 +116,9 @@ impl SkyRenderer {
             timing: TimingRing::new(&gpu),
             caches: Caches::new(tiles_max, base.samples),
             cells: Cells::new(placed),
-            light: sky_light(&scene, 0.0),
+            light: sky_light(&scene, None, 0.0),
+            air_base: None,
+            air_views: AirViews::new(&gpu),
             scene: scene.clone(),
             scene_revision,
             sky_time: SkyTime::standing(scene.clone()),
@@ -183,7 +189,7 @@ impl SkyRenderer {
         let cloud_altitude_m = active.first().map_or(0.0, |layer| layer.proxy_altitude_m);
         let old = std::mem::replace(&mut self.scene, scene);
         self.scene_revision = revision;
-        self.light = sky_light(&self.scene, cloud_altitude_m);
+        self.take_light(cloud_altitude_m);
         self.place_clouds();
         self.inspections = None;
         let moved = old.planet().radius_m() != self.scene.planet().radius_m()
@@ -230,6 +236,9 @@ impl SkyRenderer {
                 keys.extend([key, ground_key(key)]);
             }
         }
+        if scene.physical_air().is_some() {
+            keys.extend(table_keys());
+        }
         for settings in self.possible_settings(scene.light().octaves()) {
             for layer in &active {
                 let features = layer_features(scene, layer.scene_index, &settings);
@@ -244,6 +253,27 @@ impl SkyRenderer {
             self.pipelines.prepare(&self.gpu, key)?;
         }
         Ok(())
+    }
+
+    /// The light of the present scene, and the air that it passes. Texels hold which direction it comes from: the sun's,
+    /// whose moves are told apart elsewhere, or the moon's.
+    pub(super) fn take_light(&mut self, cloud_altitude_m: f64) {
+        self.air_base = BaseTables::of(
+            &self.scene,
+            sun_angular_radius_rad(),
+            self.air_base.as_ref(),
+        );
+        let light = sky_light(&self.scene, self.air_base.as_ref(), cloud_altitude_m);
+        let old = std::mem::replace(&mut self.light, light);
+        let moonlit = old.is_moon || self.light.is_moon;
+        if moonlit && old.sun_direction != self.light.sun_direction {
+            self.caches.age_all();
+        }
+        self.air_views.set(
+            &self.gpu,
+            self.air_base.as_ref(),
+            self.light.sun_direction.y,
+        );
     }
 
     /// Runs every pipeline once: a driver may compile at the first dispatch, which must not be a viewer's frame.

@@ -7,9 +7,7 @@ use super::renderer::SkyRenderer;
 use super::sky_steps::{Steps, steps_between};
 use crate::cache::SphereId;
 use crate::gpu::GpuError;
-use crate::march::{
-    ActiveLayer, LayerBlend, active_layers, placed_sheets, placed_weather, sky_light,
-};
+use crate::march::{ActiveLayer, LayerBlend, active_layers, placed_sheets, placed_weather};
 use skycell_protocol::{CellId, Moment, Scene};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -233,7 +231,7 @@ impl SkyRenderer {
             .active
             .first()
             .map_or(0.0, |layer| layer.proxy_altitude_m);
-        self.light = sky_light(&self.scene, cloud_altitude_m);
+        self.take_light(cloud_altitude_m);
         self.age_by(steps);
         self.audit.tiles_changed();
         // What exposure follows has moved.

@@ -10,7 +10,9 @@ use crate::composite::{Picture, composite_key, ground_key, shown_of};
 use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{DeviceInventory, Gpu, GpuError, PipelineKey, TimedPass};
 use crate::gpu::{read_buffer_blocking, reads_of};
-use crate::march::{LISTED_VALUES, LayerBlend, MarchedPixels, layer_features, pixels_key};
+use crate::march::{
+    CellFrame, LISTED_VALUES, LayerBlend, MarchedPixels, layer_features, pixels_key,
+};
 use glam::DVec3;
 use skycell_protocol::{Camera, Codec, FrameSize, RendererKind, Scene, ViewerId};
 use skycell_shaders::{Features, Shown, layout};
@@ -192,9 +194,15 @@ impl StillRenderer {
         );
         let gone = || GpuError::Device("the viewer of the rays is gone".into());
         let viewer = renderer.viewers.get(&VIEWER).ok_or_else(gone)?;
+        // The air is looked up for one altitude, that of the first ray.
+        let altitude_m = list.rays.first().map_or(0.0, |ray| {
+            let radius_m = renderer.scene.planet().radius_m();
+            CellFrame::at(list.frame_m, radius_m).altitude_m(ray.origin_m)
+        });
         let view = layout::View {
             right: f32s(list.pixel_m[0]),
             up: f32s(-list.pixel_m[1]),
+            altitude_m: altitude_m as f32,
             ..renderer.view_of(viewer).ok_or_else(gone)?
         };
         let viewer = renderer.viewers.get_mut(&VIEWER).ok_or_else(gone)?;
@@ -306,6 +314,7 @@ impl StillRenderer {
                     } else {
                         shown
                     },
+                    shared_background: settings.shared_background,
                     ..key.features
                 },
                 ..key

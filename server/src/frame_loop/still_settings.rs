@@ -10,6 +10,8 @@ use skycell_protocol::{FrameSize, RendererKind, Show};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct StillSettings {
+    /// Whether two by two pixels share what is behind the clouds, as viewers' frames do on a software driver.
+    pub shared_background: bool,
     /// Which renderer.
     pub renderer: RendererKind,
     /// How rays are marched.
@@ -31,6 +33,7 @@ pub struct StillSettings {
 impl Default for StillSettings {
     fn default() -> Self {
         Self {
+            shared_background: false,
             renderer: RendererKind::Cached,
             march: MarchSettings::default(),
             samples: 8,

@@ -42,6 +42,14 @@ pub struct Pipelines {
     pub question_layout: wgpu::BindGroupLayout,
     /// Group 0 of the pass that blends maps.
     pub blend_layout: wgpu::BindGroupLayout,
+    /// Group 0 of the passes that make the air's tables: medium, base tables.
+    pub air_base_layout: wgpu::BindGroupLayout,
+    /// Group 1 of the pass that makes the sky's table.
+    pub air_view_layout: wgpu::BindGroupLayout,
+    /// Group 1 of the pass that makes the haze's table.
+    pub air_haze_layout: wgpu::BindGroupLayout,
+    /// Group 1 of the composite where the air is read from tables.
+    pub air_layout: wgpu::BindGroupLayout,
     empty_layout: wgpu::BindGroupLayout,
     /// Stands where a kernel has no group.
     pub empty_group: wgpu::BindGroup,
@@ -116,10 +124,17 @@ fn sampled(dimension: wgpu::TextureViewDimension, filterable: bool) -> wgpu::Bin
 }
 
 fn stored(format: wgpu::TextureFormat) -> wgpu::BindingType {
+    stored_as(format, wgpu::TextureViewDimension::D2Array)
+}
+
+fn stored_as(
+    format: wgpu::TextureFormat,
+    view_dimension: wgpu::TextureViewDimension,
+) -> wgpu::BindingType {
     wgpu::BindingType::StorageTexture {
         access: wgpu::StorageTextureAccess::WriteOnly,
         format,
-        view_dimension: wgpu::TextureViewDimension::D2Array,
+        view_dimension,
     }
 }
 
@@ -247,6 +262,45 @@ impl Pipelines {
                 &[uniform(), storage(true), storage(true), storage(false)],
             ),
             view_layout: layout(gpu, "view", &[uniform(), storage(true)]),
+            air_base_layout: layout(
+                gpu,
+                "air base",
+                &[
+                    uniform(),
+                    sampled(D2, true),
+                    sampled(D2, true),
+                    sampled(D2, true),
+                    SAMPLER,
+                ],
+            ),
+            air_view_layout: layout(
+                gpu,
+                "air view",
+                &[
+                    stored_as(wgpu::TextureFormat::Rgba32Float, D2),
+                    stored_as(wgpu::TextureFormat::Rgba32Float, D2),
+                ],
+            ),
+            air_haze_layout: layout(
+                gpu,
+                "air haze",
+                &[
+                    stored_as(wgpu::TextureFormat::Rgba32Float, D3),
+                    stored_as(wgpu::TextureFormat::Rgba32Float, D2),
+                ],
+            ),
+            air_layout: layout(
+                gpu,
+                "air",
+                &[
+                    uniform(),
+                    sampled(D2, true),
+                    sampled(D2, true),
+                    sampled(D3, true),
+                    sampled(D2, true),
+                    SAMPLER,
+                ],
+            ),
             empty_layout,
             empty_group,
             made: HashMap::new(),
@@ -294,9 +348,23 @@ impl Pipelines {
                 &self.empty_layout,
                 &self.empty_layout,
             ],
+            Kernel::MakeAirView | Kernel::MakeAirHaze => [
+                &self.air_base_layout,
+                if key.kernel == Kernel::MakeAirView {
+                    &self.air_view_layout
+                } else {
+                    &self.air_haze_layout
+                },
+                &self.empty_layout,
+                &self.empty_layout,
+            ],
             Kernel::Composite | Kernel::Probe => [
                 &self.scene_layout,
-                &self.empty_layout,
+                if key.features.physical_sky {
+                    &self.air_layout
+                } else {
+                    &self.empty_layout
+                },
                 if key.features.screen_space {
                     &self.marched_layout
                 } else {

@@ -4,6 +4,7 @@ mod atlas;
 mod audit;
 mod cell_buffers;
 mod frame;
+mod night;
 mod pixels;
 mod settings;
 mod sky;
@@ -16,7 +17,7 @@ pub use cell_buffers::CellBuffers;
 pub use frame::CellFrame;
 pub use pixels::{LISTED_VALUES, MarchedPixels, PixelStrip, pixels_key};
 pub use settings::MarchSettings;
-pub use sky::{SkyLight, sky_light};
+pub use sky::{SkyLight, sky_light, sun_angular_radius_rad};
 pub use texels::{BATCH_TILES_MAX, TexelGroup, TexelMarch, texels_key};
 pub use uniforms::{
     ActiveLayer, EXPOSURE_AT_ZERO_EV, LayerBlend, active_layers, drift_m_per_s, grid_first_slices,

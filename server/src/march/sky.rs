@@ -1,10 +1,12 @@
 //! Light that is the same for a whole cell, computed in f64 when the scene changes: what reaches the clouds from the
 //! sun, the sky above and the ground. The sky's formulas are those of `sky/analytic.wgsl`.
 
+use crate::atmosphere::{AirLight, BaseTables};
 use glam::DVec3;
 use skycell_protocol::Scene;
 use skycell_protocol::scene::Atmosphere;
 use std::f64::consts::{FRAC_1_PI, PI};
+use std::sync::Arc;
 
 /// Rayleigh scattering at sea level at 680, 550 and 440 nm: 1.24062e-6 / λ⁴ per metre, λ in µm (the constant of
 /// E. Bruneton's precomputed atmospheric scattering, 2017), times the scale height of 8 km.
@@ -19,11 +21,20 @@ const DIFFUSE_FACTOR: f64 = 1.5;
 /// Angular radius of the sun as seen from the earth.
 const SUN_ANGULAR_RADIUS_DEG: f64 = 0.2666;
 
+/// The night sky's own light, airglow above all, W/(m² nm sr): 21.6 magnitudes per square arcsecond, a dark site without
+/// moon (F. Patat 2003), are 2.5e-4 cd/m², and 683 lm/W over the eye's 107 nm make radiance of it.
+/// Its colour is tuned: about neutral beside sunlight.
+const AIRGLOW_RADIANCE: DVec3 = DVec3::new(2.8e-9, 3.4e-9, 3.9e-9);
+
 /// Light from outside the clouds.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct SkyLight {
-    /// Unit vector towards the sun.
+    /// Tables of the air, where it is no closed formula.
+    air: Option<Arc<BaseTables>>,
+    /// Unit vector towards the sun, or towards the moon where it gives more light.
     pub sun_direction: DVec3,
+    /// Whether it is the moon.
+    pub is_moon: bool,
     /// Angular radius of the sun, rad.
     pub sun_angular_radius_rad: f64,
     /// Spectral irradiance above the atmosphere.
@@ -99,6 +110,14 @@ impl SkyLight {
 }
 
 impl SkyLight {
+    /// Spectral irradiance of the sun at an altitude, facing it. The closed formula knows only that of the clouds.
+    #[must_use]
+    pub fn sun_at(&self, altitude_m: f64) -> DVec3 {
+        self.air.as_ref().map_or(self.irradiance_at_clouds, |air| {
+            self.sun_irradiance * air.sun_transmittance(altitude_m, self.sun_direction.y)
+        })
+    }
+
     /// Mean extinction of the air between the ground and an altitude, 1/m.
     #[must_use]
     pub fn air_extinction_per_m(&self, altitude_m: f64) -> DVec3 {
@@ -108,13 +127,58 @@ impl SkyLight {
     }
 }
 
-/// Evaluates the light of a scene for clouds around an altitude.
+/// Angular radius of the sun, rad.
 #[must_use]
-pub fn sky_light(scene: &Scene, cloud_altitude_m: f64) -> SkyLight {
+pub fn sun_angular_radius_rad() -> f64 {
+    SUN_ANGULAR_RADIUS_DEG.to_radians()
+}
+
+/// Evaluates the light of a scene for clouds around an altitude. `air`: the tables of its air, where it has such.
+#[must_use]
+pub fn sky_light(scene: &Scene, air: Option<&Arc<BaseTables>>, cloud_altitude_m: f64) -> SkyLight {
+    let irradiance = DVec3::from_array(scene.sun().irradiance_w_per_m2_nm());
+    let of = |direction, irradiance, is_moon| {
+        light_of(scene, air, cloud_altitude_m, direction, irradiance, is_moon)
+    };
+    let sun = of(scene.sun().direction(), irradiance, false);
+    let Some(moon) = scene.moon() else {
+        return sun;
+    };
+    let moonlit = of(
+        moon.direction(),
+        irradiance * moon.share_of_sunlight(),
+        true,
+    );
+    // One light at a time: where the moon's is more, the other adds little to it.
+    let total = |light: &SkyLight| {
+        (light.irradiance_at_clouds + PI * (light.mean_radiance - light.environment_radiance))
+            .element_sum()
+    };
+    if total(&moonlit) > total(&sun) {
+        moonlit
+    } else {
+        sun
+    }
+}
+
+fn light_of(
+    scene: &Scene,
+    air: Option<&Arc<BaseTables>>,
+    cloud_altitude_m: f64,
+    sun_direction: DVec3,
+    sun_irradiance: DVec3,
+    is_moon: bool,
+) -> SkyLight {
     let radius_m = scene.planet().radius_m();
     let (rayleigh_optical_depth, aerosol_optical_depth, environment_radiance) =
         match scene.atmosphere() {
             Atmosphere::Analytic(sky) => (
+                DVec3::from_array(RAYLEIGH_OPTICAL_DEPTH),
+                sky.aerosol_optical_depth(),
+                DVec3::ZERO,
+            ),
+            // Of a flat world, which has no such air.
+            Atmosphere::Physical(sky) => (
                 DVec3::from_array(RAYLEIGH_OPTICAL_DEPTH),
                 sky.aerosol_optical_depth(),
                 DVec3::ZERO,
@@ -126,9 +190,11 @@ pub fn sky_light(scene: &Scene, cloud_altitude_m: f64) -> SkyLight {
             ),
         };
     let mut light = SkyLight {
-        sun_direction: scene.sun().direction(),
+        air: air.cloned(),
+        sun_direction,
+        is_moon,
         sun_angular_radius_rad: SUN_ANGULAR_RADIUS_DEG.to_radians(),
-        sun_irradiance: DVec3::from_array(scene.sun().irradiance_w_per_m2_nm()),
+        sun_irradiance,
         irradiance_at_clouds: DVec3::ZERO,
         rayleigh_optical_depth,
         aerosol_optical_depth,
@@ -142,6 +208,15 @@ pub fn sky_light(scene: &Scene, cloud_altitude_m: f64) -> SkyLight {
         environment_radiance,
     };
     let mu_sun = light.sun_direction.y;
+    if let Some(tables) = air {
+        let air = AirLight::new(tables, cloud_altitude_m, mu_sun);
+        light.irradiance_at_clouds = light.sun_irradiance * air.sun_at_clouds;
+        light.environment_radiance = AIRGLOW_RADIANCE;
+        light.mean_radiance =
+            light.environment_radiance + light.sun_irradiance * air.sky_mean_per_sr;
+        light.ground_radiance = light.sun_irradiance * air.ground_per_sr;
+        return light;
+    }
     let (rayleigh, aerosol) = light.column(radius_m, mu_sun);
     light.sun_column = rayleigh + aerosol;
     light.sun_column_kept = exp(-light.sun_column);
@@ -196,7 +271,7 @@ mod tests {
 
     fn light_at(elevation_deg: f64) -> SkyLight {
         let document = json!({"version": 1, "sun": {"elevation_deg": elevation_deg}});
-        sky_light(&Scene::from_json(&document).expect("valid"), 2_000.0)
+        sky_light(&Scene::from_json(&document).expect("valid"), None, 2_000.0)
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The scene as the shaders read it, in the frame of one cell.
 
+use super::night::night_uniform;
 use super::{CellFrame, MarchSettings, SkyLight};
 use crate::field::{SKIP_RANGE_SHARE, mean_height_fraction};
 use crate::gpu::{PlacedSheet, PlacedWeather};
@@ -295,16 +296,31 @@ pub fn scene_uniform(
         },
         ..Default::default()
     };
+    uniform.night = night_uniform(scene, light);
     for (place, (layer, anchor)) in active.iter().zip(anchors).enumerate().take(4) {
         let drift = drifts.get(layer.scene_index).copied().unwrap_or_default();
         uniform.layers[place] =
             layer_uniform(scene, *layer, place, settings, frame, drift, *anchor);
+        let [at_base, slope, curve] = sun_in_layer(scene, light, *layer);
+        uniform.layers[place].sun_at_base = f32s(at_base);
+        uniform.layers[place].sun_slope = f32s(slope);
+        uniform.layers[place].sun_curve = f32s(curve);
         if settings.aerial_perspective {
             uniform.layers[place].air_extinction_per_m =
                 f32s(light.air_extinction_per_m(layer.proxy_altitude_m));
         }
     }
     uniform
+}
+
+/// The sun's irradiance in a layer as a parabola in the share of its height, through base, middle and top. At sunset the
+/// top of a cloud gets twice the light of its base.
+fn sun_in_layer(scene: &Scene, light: &SkyLight, active: ActiveLayer) -> [DVec3; 3] {
+    let layer = &scene.layers()[active.scene_index];
+    let (base_m, top_m) = (layer.base_altitude_m(), layer.top_altitude_m());
+    let [base, middle, top] = [base_m, 0.5 * (base_m + top_m), top_m].map(|h| light.sun_at(h));
+    let curve = 2.0 * (base - 2.0 * middle + top);
+    [base, top - base - curve, curve]
 }
 
 /// Where a layer without maps can have density: its bounds, or for a whole layer more than any ray sees.

@@ -121,6 +121,7 @@ impl PointSettings {
             mip_bias: self.mip_bias,
             filter: self.filter,
             reference_offset_m: offset_m.to_array(),
+            shared_background: false,
         }
     }
 

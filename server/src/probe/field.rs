@@ -1,11 +1,12 @@
 //! Functions that read the scene or its cloud field.
 
 use super::{Round, group};
+use crate::atmosphere::BaseTables;
 use crate::field::FieldStore;
 use crate::gpu::{FieldTextures, Gpu, GpuError, PipelineKey, Pipelines};
 use crate::march::{
     ActiveLayer, CellBuffers, CellFrame, MarchSettings, active_layers, layer_features,
-    placed_sheets, placed_weather, scene_uniform, sky_light, wind_drifts,
+    placed_sheets, placed_weather, scene_uniform, sky_light, sun_angular_radius_rad, wind_drifts,
 };
 use glam::DVec3;
 use skycell_protocol::Scene;
@@ -103,7 +104,12 @@ impl FieldProbe {
             pipelines.prepare(&gpu, *key)?;
         }
         let frame = CellFrame::at(origin_m, scene.planet().radius_m());
-        let light = sky_light(scene, active.first().map_or(0.0, |l| l.proxy_altitude_m));
+        let air = BaseTables::of(scene, sun_angular_radius_rad(), None);
+        let light = sky_light(
+            scene,
+            air.as_ref(),
+            active.first().map_or(0.0, |l| l.proxy_altitude_m),
+        );
         let anchors = vec![frame.from_world(origin_m); active.len()];
         let drifts = wind_drifts(scene, time_s);
         let uniform = scene_uniform(scene, &active, &light, settings, &frame, &drifts, &anchors);

@@ -19,6 +19,13 @@
 #import skycell::shade::sun_phase_per_sr
 #endif
 #import skycell::tone::{balanced, encoded, dithered_bytes}
+#ifdef STARS
+#import skycell::night::star_radiance
+#endif
+#ifdef PHYSICAL_SKY
+#import skycell::shade::{haze_of_layer, sun_on_cloud, layer_in_air_over}
+#import skycell::physical::Haze
+#endif
 #import skycell::view::{View, PageTable, ListedRay, pixel_direction}
 #import skycell::shell::altitude_m
 #ifndef SCREEN_SPACE
@@ -94,7 +101,13 @@ fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, layer
 /// A layer along a ray with its place in the order of blending.
 struct OrderedLayer {
     cloud: LayerRadiance,
+#ifdef PHYSICAL_SKY
+    haze: Haze,
+    /// Of the sun, at the layer.
+    sun_irradiance: vec3f,
+#else
     air_extinction_per_m: vec3f,
+#endif
 #ifdef OWN_PHASES
     phase_per_sr: f32,
 #endif
@@ -106,11 +119,24 @@ struct OrderedLayer {
 /// More than any altitude, m.
 const ABOVE_RANK: f32 = 1e6;
 
-fn ordered_layer(world: Scene, eye: View, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> OrderedLayer {
+#ifdef HAZE_OF_SPHERES
+fn ordered_layer(world: Scene, eye: View, back: Background, shared_haze: Haze, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> OrderedLayer {
+#else
+fn ordered_layer(world: Scene, eye: View, back: Background, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> OrderedLayer {
+#endif
     let cloud = layer_radiance(world, eye, layer, table, layer_index, pixel, ray);
     var ordered: OrderedLayer;
     ordered.cloud = cloud;
+#ifdef PHYSICAL_SKY
+#ifdef HAZE_OF_SPHERES
+    ordered.haze = shared_haze;
+#else
+    ordered.haze = haze_of_layer(back, distance_seen_m(cloud.opacity_distance_m, cloud.transmittance));
+#endif
+    ordered.sun_irradiance = sun_on_cloud(world, layer, cloud, ray);
+#else
     ordered.air_extinction_per_m = layer.air_extinction_per_m;
+#endif
 #ifdef OWN_PHASES
     ordered.phase_per_sr = sun_phase_per_sr(world, layer.phase, ray);
 #endif
@@ -143,7 +169,16 @@ fn chosen(a: OrderedLayer, b: OrderedLayer, second: bool) -> OrderedLayer {
         select(a.cloud.transmittance, b.cloud.transmittance, second),
         select(a.cloud.opacity_distance_m, b.cloud.opacity_distance_m, second),
     );
+#ifdef PHYSICAL_SKY
+    result.haze = Haze(
+        select(a.haze.extinction_per_m, b.haze.extinction_per_m, second),
+        select(a.haze.source_per_sr, b.haze.source_per_sr, second),
+        a.haze.start_m,
+    );
+    result.sun_irradiance = select(a.sun_irradiance, b.sun_irradiance, second);
+#else
     result.air_extinction_per_m = select(a.air_extinction_per_m, b.air_extinction_per_m, second);
+#endif
 #ifdef OWN_PHASES
     result.phase_per_sr = select(a.phase_per_sr, b.phase_per_sr, second);
 #endif
@@ -158,7 +193,11 @@ fn over(world: Scene, back: Background, layer: OrderedLayer, shared_phase_per_sr
 #else
     let phase = shared_phase_per_sr;
 #endif
+#ifdef PHYSICAL_SKY
+    return layer_in_air_over(world, layer.haze, layer.sun_irradiance, phase, behind, layer.cloud);
+#else
     return layer_over(world, back, phase, behind, layer.cloud, layer.air_extinction_per_m);
+#endif
 }
 
 /// Radiance that reaches the viewer through the middle of a pixel.
@@ -170,6 +209,10 @@ fn pixel_radiance(world: Scene, eye: View, back: Background, pixel: vec2u) -> ve
 /// Radiance along a ray, which is that of a pixel.
 fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ray) -> vec3f {
     var radiance = background_radiance(world, back, ray);
+#ifdef STARS
+    let stars = star_radiance(world.night, ray.direction, eye.pixel_angle_rad) * back.transmittance;
+    radiance += select(stars, vec3f(0.0), ray.on_ground);
+#endif
 #if LAYERS >= 1
 #ifdef OWN_PHASES
     let phase = 0.0;
@@ -178,15 +221,27 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
 #endif
     // Written out with constant indices, so that all of them are read before the first pixel (and because a loop over
     // layers at computed indices keeps the software driver's compiler busy for minutes).
-    var first = ordered_layer(world, eye, world.layers[0], eye.tables[0], 0u, pixel, ray);
+#ifdef HAZE_OF_SPHERES
+    var first = ordered_layer(world, eye, back, back.first_haze, world.layers[0], eye.tables[0], 0u, pixel, ray);
+#else
+    var first = ordered_layer(world, eye, back, world.layers[0], eye.tables[0], 0u, pixel, ray);
+#endif
 #if LAYERS >= 2
-    var second = ordered_layer(world, eye, world.layers[1], eye.tables[1], 1u, pixel, ray);
+#ifdef HAZE_OF_SPHERES
+    var second = ordered_layer(world, eye, back, back.second_haze, world.layers[1], eye.tables[1], 1u, pixel, ray);
+#else
+    var second = ordered_layer(world, eye, back, world.layers[1], eye.tables[1], 1u, pixel, ray);
+#endif
     var pair = nearer_first(first, second);
     first = pair.nearer;
     second = pair.farther;
 #endif
 #if LAYERS >= 3
-    var third = ordered_layer(world, eye, world.layers[2], eye.tables[2], 2u, pixel, ray);
+#ifdef HAZE_OF_SPHERES
+    var third = ordered_layer(world, eye, back, back.third_haze, world.layers[2], eye.tables[2], 2u, pixel, ray);
+#else
+    var third = ordered_layer(world, eye, back, world.layers[2], eye.tables[2], 2u, pixel, ray);
+#endif
     pair = nearer_first(second, third);
     third = pair.farther;
     pair = nearer_first(first, pair.nearer);
@@ -194,7 +249,11 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
     second = pair.farther;
 #endif
 #if LAYERS >= 4
-    var fourth = ordered_layer(world, eye, world.layers[3], eye.tables[3], 3u, pixel, ray);
+#ifdef HAZE_OF_SPHERES
+    var fourth = ordered_layer(world, eye, back, back.fourth_haze, world.layers[3], eye.tables[3], 3u, pixel, ray);
+#else
+    var fourth = ordered_layer(world, eye, back, world.layers[3], eye.tables[3], 3u, pixel, ray);
+#endif
     pair = nearer_first(third, fourth);
     fourth = pair.farther;
     pair = nearer_first(second, pair.nearer);

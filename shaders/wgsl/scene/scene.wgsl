@@ -139,6 +139,35 @@ struct Layer {
     dome: f32,
     /// Share of wispy noise above the base, 0...1.
     wispiness: f32,
+    /// Spectral irradiance of the sun at the layer's base, on a surface that faces it, and how it grows with the share f of
+    /// the layer's height: base + f (slope + f curve).
+    sun_at_base: vec3f,
+    pad_base: f32,
+    sun_slope: vec3f,
+    pad_slope: f32,
+    sun_curve: vec3f,
+    pad_curve: f32,
+}
+
+/// What is seen at night beside sky and clouds. Read only where a scene has a moon or stars.
+struct Night {
+    /// Unit vector towards the moon.
+    moon_direction: vec3f,
+    moon_one_minus_mu_disc: f32,
+    /// Twice the radiance of the full disc's surface, before the atmosphere dims it.
+    moon_radiance: vec3f,
+    /// 1, or 0 where the moon takes the sun's place as what lights the sky.
+    sun_disc: f32,
+    /// Unit vector from the moon to the sun.
+    moon_to_sun: vec3f,
+    star_brightness: f32,
+    /// Rows of the matrix that turns a direction of the cell into one of the stars' field.
+    star_x: vec3f,
+    pad_x: f32,
+    star_y: vec3f,
+    pad_y: f32,
+    star_z: vec3f,
+    pad_z: f32,
 }
 
 struct Scene {
@@ -149,4 +178,5 @@ struct Scene {
     sky: Sky,
     light: Light,
     layers: array<Layer, 4>,
+    night: Night,
 }

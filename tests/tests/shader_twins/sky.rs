@@ -4,7 +4,7 @@ use super::support::{SceneProbe, judge};
 use glam::DVec3;
 use serde_json::json;
 use skycell_reference::Ray;
-use skycell_reference::sky::ClearSky;
+use skycell_reference::sky::{ClearSky, limb};
 use skycell_server::probe::{FieldPoint, FieldQuestion};
 use skycell_tests::numbers::{
     Random, U, distance, grazes_ground, shell_bound, shell_twin, unit, wide, worst,
@@ -139,7 +139,9 @@ fn air_masses_and_the_suns_disc_are_their_formulas() {
                 1.0 / mu.max(1e-9)
             };
             let t = ((angle / disc - 0.85) / 0.3).clamp(0.0, 1.0);
-            let radiance = (1.0 - t * t * (3.0 - 2.0 * t)) * irradiance / (per_sr * disc);
+            let mu = (1.0 - angle / disc).max(0.0).sqrt();
+            let radiance =
+                (1.0 - t * t * (3.0 - 2.0 * t)) * limb(mu).x * irradiance / (per_sr * disc);
             [
                 ((f64::from(value[0][0]) / mass - 1.0).abs(), 16.0 * U),
                 // The rim is 0.3 of the disc wide: t is known to 8 U / 0.3 and rises by 1.5.

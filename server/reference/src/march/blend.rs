@@ -1,6 +1,7 @@
 //! Layers over what lies behind them.
 
 use crate::phase::one_minus_mu;
+use crate::sky::Haze;
 use crate::{LayerGathered, Ray, RayResult, StandardErrors, World, WorldLayer};
 use glam::DVec3;
 
@@ -42,19 +43,18 @@ pub(super) fn blended(
         };
         let air_extinction_per_m = layer.air_extinction_per_m;
         let sun_phase_per_sr = layer.phase.over_disc_per_sr(x, light.sun_one_minus_mu);
-        let (kept, share) = if hazed {
-            let kept = (-cloud.distance_seen_m() * air_extinction_per_m).exp();
-            let share = (DVec3::ONE - kept) * background.air_share;
-            (kept, share.clamp(DVec3::ZERO, DVec3::ONE))
+        // The sun's colour at the altitude of what is seen.
+        let seen_m = ray.at(cloud.distance_seen_m());
+        let sun_irradiance = light.sun_at(world.globe().altitude_m(seen_m));
+        let Haze { kept, added } = if hazed {
+            background.haze(light, cloud.distance_seen_m(), air_extinction_per_m)
         } else {
-            (DVec3::ONE, DVec3::ZERO)
+            Haze::NONE
         };
-        let lit_once = light.irradiance_at_clouds * (sun_phase_per_sr * cloud.single);
-        let lit = lit_once
-            + light.irradiance_at_clouds * cloud.octaves
-            + light.mean_radiance * cloud.ambient;
+        let lit_once = sun_irradiance * (sun_phase_per_sr * cloud.single);
+        let lit = lit_once + sun_irradiance * cloud.octaves + light.mean_radiance * cloud.ambient;
         let opacity = 1.0 - cloud.transmittance;
-        radiance = lit * kept + background.air * share * opacity + radiance * cloud.transmittance;
+        radiance = lit * kept + added * opacity + radiance * cloud.transmittance;
         single = lit_once * kept + single * cloud.transmittance;
         transmittance *= cloud.transmittance;
         optical_depth += cloud.optical_depth;

@@ -3,6 +3,7 @@
 use super::{Moments, Random, Tracker};
 use crate::error::checked;
 use crate::phase::{one_minus_mu, turned};
+use crate::sky::Haze;
 use crate::{Ray, ReferenceError, World};
 use glam::DVec3;
 use serde::Serialize;
@@ -129,18 +130,16 @@ pub(super) fn trace_with(
         let mut radiance = background.radiance * transmittance;
         let mut once = DVec3::ZERO;
         if let Some(first) = tracker.collision(ray, &mut random) {
-            let (kept, share) = if hazed {
+            let Haze { kept, added } = if hazed {
                 let air = world.layers()[first.layer].air_extinction_per_m;
-                let kept = (-first.distance_m * air).exp();
-                let share = (DVec3::ONE - kept) * background.air_share;
-                (kept, share.clamp(DVec3::ZERO, DVec3::ONE))
+                background.haze(light, first.distance_m, air)
             } else {
-                (DVec3::ONE, DVec3::ZERO)
+                Haze::NONE
             };
             let path = scattered(&mut tracker, world, ray, first, &mut random, settings);
             once = light.irradiance_at_clouds * path.sunlit_once * kept;
-            radiance += (light.irradiance_at_clouds * path.sunlit + path.environment) * kept
-                + background.air * share;
+            radiance +=
+                (light.irradiance_at_clouds * path.sunlit + path.environment) * kept + added;
             moments.cut_paths += u64::from(path.cut);
             moments.scatterings += path.scatterings;
         }
@@ -223,7 +222,7 @@ fn scattered(
             Some(collision) => at = collision,
             None => {
                 if environment_factor > 0.0 {
-                    let behind = light.background(&onwards, towards).without_sun;
+                    let behind = light.environment(&onwards);
                     gathered.environment += behind * (weight * environment_factor);
                 }
                 return gathered;

@@ -1,0 +1,16 @@
+//! The air of scenes that have it computed: what does not depend on who looks is tabulated once.
+//!
+//! - [`Medium`]: what the air is made of, in f64.
+//! - [`BaseTables`]: optical depths, higher orders of scattering and the lit ground; they depend on the air alone.
+//! - [`AirLight`]: the light of one position of the sun on clouds and ground.
+//! - [`AirViews`]: sky and haze on the device, for an altitude; all viewers there share them.
+
+mod base;
+mod light;
+mod medium;
+mod views;
+
+pub use base::BaseTables;
+pub use light::AirLight;
+pub use medium::Medium;
+pub use views::{AirViews, key_of_altitude, table_keys};

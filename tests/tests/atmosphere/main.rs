@@ -1,0 +1,3 @@
+//! The sky read from tables on the device against the integration of the same air in f64.
+
+mod sky;
