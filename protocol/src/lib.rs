@@ -26,7 +26,7 @@ pub use frame::{FrameCodec, FrameHeader};
 pub use id::{CellId, FrameSequence, InputSequence, ViewerId};
 pub use moment::Moment;
 pub use quality::{QualityChoice, QualityPreset};
-pub use scene::{Scene, SceneDocument, SceneError};
+pub use scene::{Scene, SceneDocument, SceneError, SunDepth};
 pub use show::{Show, ShowReport};
 pub use value_error::ValueError;
 pub use view::{Codec, FrameSize, JpegQuality, RendererKind};

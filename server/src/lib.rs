@@ -24,6 +24,7 @@ pub mod probe;
 
 pub mod encode;
 pub mod stream;
+pub mod sun_volume;
 
 pub mod api;
 pub mod doctor;

@@ -154,6 +154,19 @@ fn describe() {
         "GPU time by pass"
     );
     describe_gauge!("skycell_cache_bytes", Unit::Bytes, "GPU memory of caches");
+    describe_gauge!(
+        "skycell_sun_volume_bytes",
+        Unit::Bytes,
+        "GPU memory of sun volumes"
+    );
+    describe_counter!(
+        "skycell_sun_volume_evaluations_total",
+        "Look-ups of density for columns of sun volumes"
+    );
+    describe_counter!(
+        "skycell_sun_volume_columns_total",
+        "Columns of sun volumes made"
+    );
     describe_gauge!("skycell_scene_revision", "Revision of the rendered scene");
     describe_gauge!("skycell_cell_viewers", "Viewers of a view cell");
     describe_gauge!(
@@ -198,6 +211,7 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
         ("audit", totals.gpu_audit_ns),
         ("composite", totals.gpu_composite_ns),
         ("screen-space", totals.gpu_screen_space_ns),
+        ("sun-volume", totals.gpu_sun_volume_ns),
     ] {
         counter!("skycell_gpu_nanoseconds_total", "pass" => pass).absolute(time_ns);
     }
@@ -224,6 +238,9 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
         }
     }
     gauge!("skycell_cache_bytes").set(totals.cache_bytes as f64);
+    gauge!("skycell_sun_volume_bytes").set(totals.sun_volume_bytes as f64);
+    counter!("skycell_sun_volume_evaluations_total").absolute(totals.sun_volume_evaluations);
+    counter!("skycell_sun_volume_columns_total").absolute(totals.sun_volume_columns);
     gauge!("skycell_scene_revision").set(stats.scene_revision as f64);
     for cell in &stats.cells {
         let labels = [("cell", cell.id.to_string()), ("name", cell.name.clone())];

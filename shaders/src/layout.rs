@@ -390,6 +390,84 @@ gpu_struct! {
 }
 
 gpu_struct! {
+    /// One level of a layer's sun volume, as seen from one cell.
+    SunLevel {
+        /// Place on the torus of the frame's origin, in periods.
+        offset: [f32; 2],
+        /// Least x and z of the known feet in the cell's frame, m.
+        feet_min_m: [f32; 2],
+        /// Largest x and z of the known feet, m.
+        feet_max_m: [f32; 2],
+        /// Periods of the torus per metre.
+        per_m: f32,
+        /// Where the level's slices begin along the texture's depth, 0…1.
+        first_w: f32,
+    }
+}
+
+gpu_struct! {
+    /// One layer's sun volume, as seen from one cell.
+    SunLayer {
+        /// Direction of the columns.
+        direction: [f32; 3],
+        /// Lower altitude of the layer, m.
+        base_altitude_m: f32,
+        /// Upper altitude of the layer, m.
+        top_altitude_m: f32,
+        /// Extinction at density 1, 1/m.
+        extinction_per_m: f32,
+        /// Length of the samples before the read, in periods of the torus.
+        near_periods: f32,
+        /// A slice as a share of the texture's depth.
+        slice_w: f32,
+        /// Distance between the lowest and the highest slice, in slices.
+        slices: f32,
+        /// Samples before the read.
+        near_steps: u32,
+        /// Fills to 16 bytes.
+        pad_levels: [u32; 2],
+        /// Finest first.
+        levels: [SunLevel; 5],
+    }
+}
+
+gpu_struct! {
+    /// The sun volumes of the shown layers, as seen from one cell.
+    SunVolume {
+        /// As in the scene.
+        layers: [SunLayer; 4],
+    }
+}
+
+gpu_struct! {
+    /// Columns of one level of one layer's sun volume that are made together.
+    SunColumns {
+        /// Unit vector towards the sun.
+        direction: [f32; 3],
+        /// Distance between feet, m.
+        spacing_m: f32,
+        /// Foot of the first column in the frame: x and z, m.
+        first_foot_m: [f32; 2],
+        /// Its texel.
+        first_texel: [u32; 2],
+        /// How many along x and z.
+        columns: [u32; 2],
+        /// Texels along the torus.
+        columns_per_side: u32,
+        /// Lowest slice in the texture.
+        first_slice: u32,
+        /// Slices of the level.
+        slices: u32,
+        /// Samples between two slices.
+        substeps: u32,
+        /// Place among the shown layers.
+        layer: u32,
+        /// Fills to 16 bytes.
+        pad_layer: u32,
+    }
+}
+
+gpu_struct! {
     /// Where a layer's tiles are found.
     PageTable {
         /// First entry.

@@ -25,6 +25,8 @@ pub enum Kernel {
     MarchPixels,
     /// Texels marched once more, beside what the cache holds of them.
     AuditTexels,
+    /// Columns of the sun volume.
+    SunColumns,
     /// One picture for one viewer.
     Composite,
     /// What the cloud field holds, as a picture.
@@ -43,10 +45,11 @@ pub enum Kernel {
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::MarchTexels,
         Self::MarchPixels,
         Self::AuditTexels,
+        Self::SunColumns,
         Self::Composite,
         Self::Inspect,
         Self::Probe,
@@ -63,6 +66,7 @@ impl Kernel {
             Self::MarchTexels => "march_texels",
             Self::MarchPixels => "march_pixels",
             Self::AuditTexels => "audit_texels",
+            Self::SunColumns => "sun_columns",
             Self::Composite => "composite",
             Self::Inspect => "inspect",
             Self::Probe => "probe",
@@ -84,6 +88,10 @@ impl Kernel {
                 include_str!("../wgsl/march/pixels.wgsl"),
             ),
             Self::AuditTexels => ("march/audit.wgsl", include_str!("../wgsl/march/audit.wgsl")),
+            Self::SunColumns => (
+                "march/sun_columns.wgsl",
+                include_str!("../wgsl/march/sun_columns.wgsl"),
+            ),
             Self::Composite => (
                 "composite/composite.wgsl",
                 include_str!("../wgsl/composite/composite.wgsl"),
@@ -163,6 +171,8 @@ pub struct Features {
     pub own_phases: bool,
     /// Layers share altitudes: what is seen nearer hides the other, not what lies lower (composite).
     pub overlap: bool,
+    /// Layers whose sun volumes the march reads; 0: the cone alone.
+    pub sun_layers: u32,
     /// Two by two pixels share what is behind the clouds, evaluated where they meet.
     pub shared_background: bool,
     /// From radiance to what a screen shows.
@@ -192,6 +202,7 @@ impl Default for Features {
             upsample: false,
             own_phases: false,
             overlap: false,
+            sun_layers: 0,
             shared_background: false,
             tone: Tone::Aces,
             shown: Shown::Picture,
@@ -226,6 +237,7 @@ impl Features {
                 upsample: bits & 12 == 12,
                 own_phases: bits & 8 != 0,
                 overlap: bits & 2 != 0,
+                sun_layers: if bits & 2 == 0 { 0 } else { count },
                 shared_background: bits & 1 != 0,
                 tone: [Tone::Aces, Tone::Agx, Tone::Neutral][((bits + count) % 3) as usize],
                 shown: Shown::Picture,
@@ -241,6 +253,10 @@ impl Features {
             (
                 "OCTAVE_VECTORS".to_owned(),
                 ShaderDefValue::UInt(self.octave_vectors.clamp(1, 4)),
+            ),
+            (
+                "SUN_LAYERS".to_owned(),
+                ShaderDefValue::UInt(self.sun_layers.min(4)),
             ),
             (
                 "LAYERS".to_owned(),
@@ -264,6 +280,7 @@ impl Features {
             ("UPSAMPLE", self.upsample),
             ("OWN_PHASES", self.own_phases),
             ("LAYERS_OVERLAP", self.overlap),
+            ("SUN_VOLUME", self.sun_layers > 0),
             ("SHARED_BACKGROUND", self.shared_background),
             ("TONE_AGX", self.tone == Tone::Agx),
             ("TONE_NEUTRAL", self.tone == Tone::Neutral),
@@ -306,6 +323,14 @@ const MODULES: &[(&str, &str)] = &[
     (
         "cloud/density.wgsl",
         include_str!("../wgsl/cloud/density.wgsl"),
+    ),
+    (
+        "march/sun_column.wgsl",
+        include_str!("../wgsl/march/sun_column.wgsl"),
+    ),
+    (
+        "march/sun_volume.wgsl",
+        include_str!("../wgsl/march/sun_volume.wgsl"),
     ),
     ("march/march.wgsl", include_str!("../wgsl/march/march.wgsl")),
     (

@@ -80,7 +80,11 @@ fn wgsl_layout(module: &naga::Module, name: &str) -> Option<(Vec<(String, usize)
 }
 
 fn check<T: GpuLayout>(kernel: Kernel) {
-    let module = compose(kernel, Features::default()).expect("composes");
+    let features = Features {
+        sun_layers: 1,
+        ..Features::default()
+    };
+    let module = compose(kernel, features).expect("composes");
     let (fields, size) =
         wgsl_layout(&module, T::NAME).unwrap_or_else(|| panic!("{} is not in {kernel:?}", T::NAME));
     let ours: Vec<(String, usize)> = T::fields()
@@ -104,6 +108,10 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::TileWork>(Kernel::MarchTexels);
     check::<layout::AuditWork>(Kernel::AuditTexels);
     check::<layout::AuditSample>(Kernel::AuditTexels);
+    check::<layout::SunLevel>(Kernel::MarchTexels);
+    check::<layout::SunLayer>(Kernel::MarchTexels);
+    check::<layout::SunVolume>(Kernel::MarchTexels);
+    check::<layout::SunColumns>(Kernel::SunColumns);
     check::<layout::Reference>(Kernel::MarchTexels);
     check::<layout::PageTable>(Kernel::Composite);
     check::<layout::View>(Kernel::Composite);

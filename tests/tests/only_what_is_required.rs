@@ -177,3 +177,38 @@ fn only_a_scene_whose_air_is_computed_has_tables_of_it() {
         assert!(!reads["composite"].contains("source_table"), "{reads:?}");
     }
 }
+
+#[test]
+fn only_a_sun_volume_that_is_asked_for_and_lit_stands_on_the_device() {
+    let volume = json!({"sun_depth": "volume"});
+    for (what, document) in [
+        (
+            "the cone",
+            json!({"version": 1, "light": {"sun_depth": "cone"}}),
+        ),
+        (
+            "a low sun",
+            json!({"version": 1, "light": volume, "sun": {"elevation_deg": 5}}),
+        ),
+        (
+            "no layer",
+            json!({"version": 1, "light": volume, "layers": []}),
+        ),
+    ] {
+        let (inventory, _) = rendered(&document, RendererKind::ScreenSpace);
+        assert_eq!(passes(&inventory, "sun-volume"), 0, "{what}");
+        assert!(!inventory.has("sun volume"), "{what}: {inventory:?}");
+    }
+    let (_, reads) = rendered(
+        &json!({"version": 1, "light": {"sun_depth": "cone"}}),
+        RendererKind::ScreenSpace,
+    );
+    assert!(!reads["march_pixels"].contains("sun_depths"), "{reads:?}");
+    let (inventory, reads) = rendered(
+        &json!({"version": 1, "light": volume}),
+        RendererKind::ScreenSpace,
+    );
+    assert!(passes(&inventory, "sun-volume") > 0);
+    assert!(inventory.has("sun volume"), "{inventory:?}");
+    assert!(reads["march_pixels"].contains("sun_depths"), "{reads:?}");
+}

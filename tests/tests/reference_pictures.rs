@@ -2,7 +2,7 @@
 //! horizon, against the f64 reference: what f32 costs at the same steps, and how far the best quality is from the truth.
 
 use glam::DVec3;
-use skycell_protocol::{Camera, FrameSize, QualityPreset, RendererKind, Scene};
+use skycell_protocol::{Camera, FrameSize, QualityPreset, RendererKind, Scene, SunDepth};
 use skycell_reference::march::{ConvergeLimit, MarchSteps, converged_ray, march_ray};
 use skycell_reference::picture::Projection;
 use skycell_reference::{Approximations, World};
@@ -166,6 +166,7 @@ fn at_the_same_steps_the_picture_is_the_references_to_a_thousandth() {
         let subject = subject(name, view);
         let march = MarchSettings {
             steps: STEPS,
+            sun_depth: Some(SunDepth::Cone),
             exact_interpolation: true,
             jitter: false,
             ..MarchSettings::default()

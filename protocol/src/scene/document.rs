@@ -5,6 +5,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
 use super::family::{Family, WeatherPattern, WeatherProfile};
+use super::light::SunDepth;
 use super::maps::MapsDocument;
 use super::timeline::{
     AnimationDocument, Drift, PlaceAndTimeDocument, TimeDocument, TransitionDocument,
@@ -393,6 +394,9 @@ document! {
         "octave_eccentricity" => octave_eccentricity: f64 = 0.5,
         /// Steps of the march towards the sun.
         "sun_steps" => sun_steps: u32 = 6,
+        /// How optical depth towards the sun comes about: by a march from every step ("cone"), or by reading the sun volume
+        /// ("volume"), with the march where the volume does not reach.
+        "sun_depth" => sun_depth: SunDepth = SunDepth::Cone,
         /// Length of the march towards the sun.
         "sun_march_distance_m" => sun_march_distance_m: f64 = 1500.0,
         /// Factor of the light from sky and ground.
@@ -511,6 +515,16 @@ fn only_model_keys(
         );
         error
     })
+}
+
+impl ReadJson for SunDepth {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        read_name(
+            value,
+            pointer,
+            &[("cone", Self::Cone), ("volume", Self::Volume)],
+        )
+    }
 }
 
 impl ReadJson for AtmosphereDocument {

@@ -3,6 +3,7 @@
 use super::document::{DraineDocument, HgDocument, HgDraineDocument, LightDocument, PhaseDocument};
 use super::ranges;
 use crate::ValueError;
+use serde::{Deserialize, Serialize};
 
 /// How light travels in clouds.
 #[derive(Clone, Debug, PartialEq)]
@@ -13,6 +14,7 @@ pub struct Light {
     octave_contribution: f64,
     octave_eccentricity: f64,
     sun_steps: u32,
+    sun_depth: SunDepth,
     sun_march_distance_m: f64,
     ambient: f64,
 }
@@ -48,6 +50,11 @@ impl Light {
         self.sun_steps
     }
 
+    /// How optical depth towards the sun comes about.
+    pub fn sun_depth(&self) -> SunDepth {
+        self.sun_depth
+    }
+
     /// Length of the march towards the sun.
     pub fn sun_march_distance_m(&self) -> f64 {
         self.sun_march_distance_m
@@ -57,6 +64,17 @@ impl Light {
     pub fn ambient(&self) -> f64 {
         self.ambient
     }
+}
+
+/// How optical depth towards the sun comes about.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SunDepth {
+    /// A march towards the sun from every step, within the step's layer.
+    #[default]
+    Cone,
+    /// One volume for all, of all layers; the march where it does not reach.
+    Volume,
 }
 
 /// Where droplets scatter light to. The numbers of a function inside a [`Light`] are in range.
@@ -150,6 +168,7 @@ impl TryFrom<LightDocument> for Light {
             octave_eccentricity: ranges::OCTAVE_FACTOR
                 .check("/octave_eccentricity", document.octave_eccentricity)?,
             sun_steps: ranges::SUN_STEPS.check_u32("/sun_steps", document.sun_steps)?,
+            sun_depth: document.sun_depth,
             sun_march_distance_m: ranges::SUN_MARCH_DISTANCE_M
                 .check("/sun_march_distance_m", document.sun_march_distance_m)?,
             ambient: ranges::AMBIENT.check("/ambient", document.ambient)?,
@@ -166,6 +185,7 @@ impl From<&Light> for LightDocument {
             octave_contribution: light.octave_contribution,
             octave_eccentricity: light.octave_eccentricity,
             sun_steps: light.sun_steps,
+            sun_depth: light.sun_depth,
             sun_march_distance_m: light.sun_march_distance_m,
             ambient: light.ambient,
         }

@@ -26,7 +26,7 @@ pub use document::{
 };
 pub use family::{CloudForm, Family, WeatherPattern, WeatherProfile};
 pub use layer::CloudLayer;
-pub use light::{Light, PhaseFunction};
+pub use light::{Light, PhaseFunction, SunDepth};
 pub use maps::{MapFiles, MapKind, MapsDocument};
 pub use night::{Moon, Stars};
 pub use sky::{

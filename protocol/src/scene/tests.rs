@@ -41,7 +41,7 @@ fn the_default_document_is_pinned() {
         "light": {
             "phase": {"model": "hg-draine", "droplet_diameter_um": 20.0},
             "octaves": 4, "octave_attenuation": 0.5, "octave_contribution": 0.5,
-            "octave_eccentricity": 0.5, "sun_steps": 6, "sun_march_distance_m": 1500.0,
+            "octave_eccentricity": 0.5, "sun_steps": 6, "sun_depth": "cone", "sun_march_distance_m": 1500.0,
             "ambient": 1.0
         },
         "wind": {"towards_deg": 90.0, "speed_m_per_s": 5.0},

@@ -15,6 +15,9 @@ use std::time::Instant;
 /// Where the choice of texels starts: every run audits the same places of the same tiles.
 const SEED: u64 = 1;
 
+/// Steps to the sun where the cache was marched with the sun volume.
+const AUDIT_SUN_STEPS: u32 = 32;
+
 /// Texels that are drawn for each that is audited, at most: some lie under the horizon.
 const TRIES_PER_TEXEL: usize = 4;
 
@@ -150,7 +153,16 @@ impl SkyRenderer {
     fn march_audit(&mut self, sphere: SphereId, work: &[AuditWork]) -> Option<()> {
         let scene_index = self.active.get(sphere.layer as usize)?.scene_index;
         let cell = self.active_cells.get(&sphere.cell)?;
-        let scene = finer(cell.buffers.scene()?, self.scene.light().sun_steps());
+        let mut scene = finer(cell.buffers.scene()?, self.scene.light().sun_steps());
+        if cell.buffers.sun.is_some() {
+            // The volume knows layers to their ends; so must what it is compared with.
+            let layer = &self.scene.layers()[scene_index];
+            let thickness_m = layer.top_altitude_m() - layer.base_altitude_m();
+            let through_m = thickness_m / self.light.sun_direction.y.max(1e-3);
+            let distance_m = &mut scene.light.sun_march_distance_m;
+            *distance_m = distance_m.max(through_m as f32);
+            scene.light.sun_steps = scene.light.sun_steps.max(AUDIT_SUN_STEPS);
+        }
         self.timing.begin();
         let mut encoder = self
             .gpu
@@ -166,7 +178,11 @@ impl SkyRenderer {
             &self.atlas,
             &AuditGroup {
                 cell: &cell.buffers,
-                features: layer_features(&self.scene, scene_index, &cell.settings),
+                features: cell.buffers.march_features(layer_features(
+                    &self.scene,
+                    scene_index,
+                    &cell.settings,
+                )),
                 scene: &scene,
                 work,
             },
@@ -245,6 +261,9 @@ mod tests {
         );
         loop {
             renderer.refresh_cells();
+            while renderer.update_sun_volumes(64) {
+                renderer.gpu.wait().expect("a device");
+            }
             if renderer.march(64).is_empty() {
                 return renderer;
             }

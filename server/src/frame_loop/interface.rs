@@ -301,7 +301,7 @@ pub struct AdapterStats {
     pub device_type: String,
 }
 
-/// Sums since the frame loop's start; `cache_bytes` is what is allocated now.
+/// Sums since the frame loop's start; `cache_bytes` and `sun_volume_bytes` are what is allocated now.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RenderTotals {
     /// Turns of the loop.
@@ -334,6 +334,14 @@ pub struct RenderTotals {
     pub screen_space_marches: u64,
     /// GPU memory of caches, now.
     pub cache_bytes: u64,
+    /// Look-ups of density for columns of sun volumes.
+    pub sun_volume_evaluations: u64,
+    /// Columns of sun volumes made.
+    pub sun_volume_columns: u64,
+    /// GPU memory of sun volumes, now.
+    pub sun_volume_bytes: u64,
+    /// GPU time of sun volumes.
+    pub gpu_sun_volume_ns: u64,
 }
 
 /// A view cell.

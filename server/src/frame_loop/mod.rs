@@ -13,8 +13,10 @@ mod screen_space;
 mod sky_steps;
 mod sky_time;
 mod stats;
+
 mod still;
 mod still_settings;
+mod sun_volumes;
 mod viewers_on_device;
 mod views;
 

@@ -448,8 +448,12 @@ impl FrameLoop {
         if hurried_fps > 0.0 && self.march_credit_s <= 0.0 && !self.device_rests(now) {
             return Marching::Held;
         }
-        let screen_space = self.march_screen_space(budget);
         let tiles_max = (budget.as_nanos() as f64 / self.ns_per_tile).max(1.0) as usize;
+        if self.renderer.update_sun_volumes(tiles_max) {
+            // What is marched before the volume is there would have to be marched again.
+            return Marching::More;
+        }
+        let screen_space = self.march_screen_space(budget);
         let updates = self.renderer.march(tiles_max);
         self.march_credit_s -= updates.len() as f64 * self.ns_per_tile * 1e-9;
         for update in &updates {

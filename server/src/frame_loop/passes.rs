@@ -55,7 +55,11 @@ impl SkyRenderer {
                 let cell = self.active_cells.get(&sphere.cell)?;
                 Some(TexelGroup {
                     cell: &cell.buffers,
-                    features: layer_features(&self.scene, scene_index, &cell.settings),
+                    features: cell.buffers.march_features(layer_features(
+                        &self.scene,
+                        scene_index,
+                        &cell.settings,
+                    )),
                     layer: sphere.layer,
                     updates,
                 })
@@ -128,7 +132,7 @@ impl SkyRenderer {
             &self.pipelines,
             &PixelStrip {
                 cell: &cell.buffers,
-                features,
+                features: cell.buffers.march_features(features),
                 view,
                 rows,
             },

@@ -157,6 +157,7 @@ impl SkyRenderer {
                 let octaves = point.settings.octaves.map(|o| o.min(scene_octaves));
                 MarchSettings {
                     octaves,
+                    sun_depth: point.settings.sun_depth.or(self.settings.sun_depth),
                     ..self.settings
                 }
             }));
@@ -169,6 +170,7 @@ impl SkyRenderer {
         QualitySettings {
             march_steps: self.settings.steps,
             sun_steps: self.settings.sun_steps,
+            sun_depth: self.settings.sun_depth,
             octaves: self.settings.octaves,
             samples: self.caches.samples(),
             mip_bias: self.mip_bias,
@@ -261,12 +263,14 @@ impl SkyRenderer {
         let settings = MarchSettings {
             steps: finest.march_steps,
             sun_steps: finest.sun_steps,
+            sun_depth: finest.sun_depth,
             octaves: finest.octaves,
             ..self.settings
         };
         let before = cell.settings;
         let is_finer = settings.steps > before.steps
             || settings.sun_steps.unwrap_or(sun_steps) > before.sun_steps.unwrap_or(sun_steps)
+            || settings.sun_depth != before.sun_depth
             || settings.octaves.unwrap_or(octaves) > before.octaves.unwrap_or(octaves);
         if is_finer {
             self.caches.age_cell(id);

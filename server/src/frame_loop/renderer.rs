@@ -7,6 +7,7 @@ use super::interface::{RenderStats, ViewRequest};
 use super::qualities::Qualities;
 use super::sky_steps::steps_between;
 use super::sky_time::SkyTime;
+use super::sun_volumes::{SunVolumes, asks_for_volume};
 use super::viewers_on_device::ActiveViewer;
 use crate::atmosphere::{AirViews, BaseTables, table_keys};
 use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
@@ -22,10 +23,11 @@ use crate::gpu::{
 use crate::march::{
     ActiveLayer, Atlas, LayerBlend, MarchSettings, SkyLight, TexelMarch, active_layers, audit_key,
     drift_m_per_s, layer_features, pixels_key, placed_sheets, placed_weather, sky_light,
-    sun_angular_radius_rad, texels_key,
+    sun_angular_radius_rad, sun_columns_key, texels_key,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, RendererKind, Scene, ViewerId};
+use skycell_shaders::Features;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64};
@@ -60,6 +62,7 @@ pub(super) struct SkyRenderer {
     pub(super) texel_march: TexelMarch,
     pub(super) audit: Audit,
     pub(super) caches: Caches,
+    pub(super) sun: SunVolumes,
     pub(super) cells: Cells,
     pub(super) config: RenderConfig,
     /// What is asked for, and what is picked.
@@ -115,6 +118,7 @@ impl SkyRenderer {
             audit: Audit::new(&gpu, &pipelines),
             timing: TimingRing::new(&gpu),
             caches: Caches::new(tiles_max, base.samples),
+            sun: SunVolumes::default(),
             cells: Cells::new(placed),
             light: sky_light(&scene, None, 0.0),
             air_base: None,
@@ -135,6 +139,7 @@ impl SkyRenderer {
             settings: MarchSettings {
                 steps: base.march_steps,
                 sun_steps: base.sun_steps,
+                sun_depth: base.sun_depth,
                 octaves: base.octaves,
                 ..MarchSettings::default()
             },
@@ -188,6 +193,13 @@ impl SkyRenderer {
         }
         let cloud_altitude_m = active.first().map_or(0.0, |layer| layer.proxy_altitude_m);
         let old = std::mem::replace(&mut self.scene, scene);
+        if maps_change.content
+            || old.layers() != self.scene.layers()
+            || old.planet() != self.scene.planet()
+        {
+            // Of other clouds.
+            self.sun.clear();
+        }
         self.scene_revision = revision;
         self.take_light(cloud_altitude_m);
         self.place_clouds();
@@ -241,12 +253,19 @@ impl SkyRenderer {
         }
         for settings in self.possible_settings(scene.light().octaves()) {
             for layer in &active {
-                let features = layer_features(scene, layer.scene_index, &settings);
-                keys.extend([
-                    texels_key(features),
-                    pixels_key(features, false),
-                    audit_key(features),
-                ]);
+                let cone = layer_features(scene, layer.scene_index, &settings);
+                let volume = asks_for_volume(&settings, scene).then_some(Features {
+                    sun_layers: active.len() as u32,
+                    ..cone
+                });
+                for features in [Some(cone), volume].into_iter().flatten() {
+                    keys.extend([
+                        texels_key(features),
+                        pixels_key(features, false),
+                        audit_key(features),
+                    ]);
+                }
+                keys.extend(volume.map(sun_columns_key));
             }
         }
         for key in keys {
@@ -298,6 +317,7 @@ impl SkyRenderer {
                 },
             );
             self.refresh_cells();
+            while self.update_sun_volumes(usize::MAX >> 32) {}
             for update in self.march(1) {
                 self.warm_up_audit(&update);
             }
@@ -357,8 +377,12 @@ impl SkyRenderer {
             });
         match step {
             BlendStep::None => {}
-            BlendStep::Moved => self.caches.refresh_all(),
+            BlendStep::Moved => {
+                self.sun.outdate();
+                self.caches.refresh_all();
+            }
             BlendStep::Ended => {
+                self.sun.outdate();
                 self.caches.age_all();
                 self.audit.restart();
             }

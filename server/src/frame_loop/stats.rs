@@ -44,6 +44,10 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             gpu_screen_space_ns: renderer.gpu_time(TimedPass::ScreenSpace).0,
             screen_space_marches: counters.screen_space_marches,
             cache_bytes: renderer.cache_bytes(),
+            sun_volume_evaluations: renderer.sun.counters.evaluations,
+            sun_volume_columns: renderer.sun.counters.columns,
+            sun_volume_bytes: renderer.sun.bytes(),
+            gpu_sun_volume_ns: renderer.gpu_time(TimedPass::SunVolume).0,
         },
         device: renderer.inventory(),
         audit: AuditStats {

@@ -167,9 +167,15 @@ impl StillRenderer {
         self.join(at_frame, list.size, settings);
         let renderer = &mut self.renderer;
         for layer in &renderer.active {
-            let features = layer_features(&renderer.scene, layer.scene_index, &renderer.settings);
-            let key = pixels_key(features, true);
-            renderer.pipelines.prepare(&renderer.gpu, key)?;
+            let cone = layer_features(&renderer.scene, layer.scene_index, &renderer.settings);
+            let volume = Features {
+                sun_layers: renderer.active.len() as u32,
+                ..cone
+            };
+            for features in [cone, volume] {
+                let key = pixels_key(features, true);
+                renderer.pipelines.prepare(&renderer.gpu, key)?;
+            }
         }
         self.prepare_composites(true, settings, true)?;
         let renderer = &mut self.renderer;
@@ -350,6 +356,9 @@ impl StillRenderer {
         mut progress: impl FnMut(f64),
     ) -> Result<(), GpuError> {
         let renderer = &mut self.renderer;
+        while renderer.update_sun_volumes(BATCH_TILES) {
+            renderer.gpu.wait()?;
+        }
         if screen_space {
             let samples = f64::from(renderer.caches.samples());
             let mut done = 0.0;
@@ -401,13 +410,14 @@ impl StillRenderer {
         Ok((display, linear))
     }
 
-    /// GPU time of the cache, of composites and of the screen-space renderer so far, ns.
+    /// GPU time of the cache, of composites, of the screen-space renderer and of sun volumes so far, ns.
     #[must_use]
-    pub fn gpu_times_ns(&self) -> [u64; 3] {
+    pub fn gpu_times_ns(&self) -> [u64; 4] {
         [
             TimedPass::Cache,
             TimedPass::Composite,
             TimedPass::ScreenSpace,
+            TimedPass::SunVolume,
         ]
         .map(|pass| self.renderer.gpu_time(pass).0)
     }
@@ -427,6 +437,8 @@ impl Start {
         let renderer = &mut still.renderer;
         renderer.leave(VIEWER);
         renderer.settings = settings.march;
+        // Each picture pays for its own.
+        renderer.sun.clear();
         renderer.caches.set_samples(settings.samples);
         renderer.mip_bias = f64::from(settings.mip_bias);
         renderer.resolution_divisor = settings.resolution_divisor;
@@ -459,6 +471,8 @@ impl Start {
         Ok(StillFigures {
             marches: marches(&totals) - marches(&self.totals),
             texture_reads,
+            sun_volume_evaluations: totals.sun_volume_evaluations
+                - self.totals.sun_volume_evaluations,
             gpu_ns: (gpu_ns > 0).then_some(gpu_ns),
             wall_s: self.at.elapsed().as_secs_f64(),
         })

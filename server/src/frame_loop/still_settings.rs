@@ -66,6 +66,9 @@ pub struct StillFigures {
     pub marches: u64,
     /// Texture reads of the march, where they were counted.
     pub texture_reads: Option<u64>,
+    /// Look-ups of density for columns of the sun volume.
+    #[serde(default)]
+    pub sun_volume_evaluations: u64,
     /// Time of the device for marching and compositing, where it can tell.
     pub gpu_ns: Option<u64>,
     /// Time that passed.

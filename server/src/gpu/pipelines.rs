@@ -20,6 +20,10 @@ pub struct PipelineKey {
 pub struct Pipelines {
     /// Group 0 of all kernels: the scene.
     pub scene_layout: wgpu::BindGroupLayout,
+    /// Group 0 of the marching kernels that read the sun volume: the scene, and the volume.
+    pub sun_scene_layout: wgpu::BindGroupLayout,
+    /// Group 2 of the pass that makes columns of the sun volume.
+    pub sun_columns_layout: wgpu::BindGroupLayout,
     /// Group 1 of the marching kernels: the cloud field.
     pub field_layout: wgpu::BindGroupLayout,
     /// Group 2 of the cache's march: work, reference, old and new texels.
@@ -200,6 +204,24 @@ impl Pipelines {
             read_counter: buffer("read counter", 8),
             no_rays: buffer("no rays", 32),
             scene_layout: layout(gpu, "scene", &[uniform()]),
+            sun_scene_layout: layout(
+                gpu,
+                "scene and sun volume",
+                &[uniform(), sampled(D3, true), SAMPLER, uniform()],
+            ),
+            sun_columns_layout: layout(
+                gpu,
+                "sun columns",
+                &[
+                    uniform(),
+                    wgpu::BindingType::StorageTexture {
+                        access: wgpu::StorageTextureAccess::WriteOnly,
+                        format: wgpu::TextureFormat::R32Float,
+                        view_dimension: D3,
+                    },
+                    storage(false),
+                ],
+            ),
             field_layout: layout(
                 gpu,
                 "field",
@@ -311,21 +333,32 @@ impl Pipelines {
     }
 
     fn groups(&self, key: PipelineKey) -> [&wgpu::BindGroupLayout; 4] {
+        let march_scene = if key.features.sun_layers > 0 {
+            &self.sun_scene_layout
+        } else {
+            &self.scene_layout
+        };
         match key.kernel {
-            Kernel::MarchTexels => [
+            Kernel::SunColumns => [
                 &self.scene_layout,
+                &self.field_layout,
+                &self.sun_columns_layout,
+                &self.empty_layout,
+            ],
+            Kernel::MarchTexels => [
+                march_scene,
                 &self.field_layout,
                 &self.texels_layout,
                 &self.empty_layout,
             ],
             Kernel::AuditTexels => [
-                &self.scene_layout,
+                march_scene,
                 &self.field_layout,
                 &self.audit_layout,
                 &self.empty_layout,
             ],
             Kernel::MarchPixels => [
-                &self.scene_layout,
+                march_scene,
                 &self.field_layout,
                 &self.pixels_layout,
                 &self.view_layout,
@@ -337,7 +370,7 @@ impl Pipelines {
                 &self.picture_layout,
             ],
             Kernel::ProbeField => [
-                &self.scene_layout,
+                march_scene,
                 &self.field_layout,
                 &self.points_layout,
                 &self.question_layout,

@@ -11,6 +11,8 @@ pub enum TimedPass {
     Cache,
     /// Marched texels again to see how wrong the cache is.
     Audit,
+    /// Made columns of the sun volume.
+    SunVolume,
     /// Composited a picture.
     Composite,
     /// Made a picture of a quantity of the cloud field.
@@ -21,9 +23,10 @@ pub enum TimedPass {
 
 impl TimedPass {
     /// Every kind.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Cache,
         Self::Audit,
+        Self::SunVolume,
         Self::Composite,
         Self::Inspection,
         Self::ScreenSpace,
@@ -35,6 +38,7 @@ impl TimedPass {
         match self {
             Self::Cache => "cache",
             Self::Audit => "audit",
+            Self::SunVolume => "sun-volume",
             Self::Composite => "composite",
             Self::Inspection => "inspection",
             Self::ScreenSpace => "screen-space",
@@ -61,6 +65,7 @@ struct Slot {
 struct Sums {
     cache: Sum,
     audit: Sum,
+    sun_volume: Sum,
     composite: Sum,
     inspection: Sum,
     screen_space: Sum,
@@ -218,6 +223,7 @@ impl Sums {
         match pass {
             TimedPass::Cache => &self.cache,
             TimedPass::Audit => &self.audit,
+            TimedPass::SunVolume => &self.sun_volume,
             TimedPass::Composite => &self.composite,
             TimedPass::Inspection => &self.inspection,
             TimedPass::ScreenSpace => &self.screen_space,

@@ -2,6 +2,7 @@
 
 use super::atlas::Atlas;
 use super::cell_buffers::CellBuffers;
+use super::sun_columns::without_own;
 use super::texels::write;
 use crate::frame_loop::interface::FramePixels;
 use crate::gpu::{Gpu, PipelineKey, Pipelines, ReadbackRing, TimedPass, TimingRing};
@@ -70,6 +71,8 @@ pub struct AuditGroup<'a> {
 pub struct AuditMarch {
     scene: wgpu::Buffer,
     scene_group: wgpu::BindGroup,
+    /// Made where a cell reads a sun volume.
+    sun_volume: Option<wgpu::Buffer>,
     work: wgpu::Buffer,
     samples: wgpu::Buffer,
     ring: ReadbackRing,
@@ -103,6 +106,7 @@ impl AuditMarch {
                 }],
             }),
             scene,
+            sun_volume: None,
             work: buffer(
                 "audit work",
                 AUDIT_TEXELS_MAX * size_of::<AuditWork>(),
@@ -158,12 +162,31 @@ impl AuditMarch {
             layout: &pipelines.audit_layout,
             entries: &entries,
         });
+        // Of its own layer an audited ray reads no volume: what is in there is audited too.
+        let sun_group = group
+            .cell
+            .sun
+            .as_ref()
+            .filter(|_| group.features.sun_layers > 0)
+            .map(|sun| {
+                let others = without_own(sun.seen(), work[0].layer);
+                let uniform = self.sun_volume.get_or_insert_with(|| {
+                    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                        label: Some("audit sun volume"),
+                        size: size_of_val(&others) as u64,
+                        usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+                        mapped_at_creation: false,
+                    })
+                });
+                write(gpu, uniform, &others);
+                sun.group_of(gpu, pipelines, &self.scene, uniform)
+            });
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("audit texels"),
             timestamp_writes: timing.pass(TimedPass::Audit, work.len() as u64),
         });
         pass.set_pipeline(pipeline);
-        pass.set_bind_group(0, &self.scene_group, &[]);
+        pass.set_bind_group(0, sun_group.as_ref().unwrap_or(&self.scene_group), &[]);
         pass.set_bind_group(1, group.cell.field_group(), &[]);
         pass.set_bind_group(2, &bind_group, &[]);
         pass.set_bind_group(3, &pipelines.empty_group, &[]);

@@ -1,11 +1,12 @@
 //! A cell on the device: its scene, where its rays start, where its tiles are found.
 
 use super::atlas::Atlas;
+use super::sun_columns::{SunBinding, SunVolumeTexture};
 use super::texels::write;
 use crate::cache::{LEVELS, NO_TILE, PageTables, TileKey};
 use crate::gpu::{Gpu, Pipelines};
 use glam::DVec3;
-use skycell_shaders::layout;
+use skycell_shaders::{Features, layout};
 
 /// Entries of a row of the page tables, as in `composite/cached.wgsl`.
 const TABLE_WIDTH: u32 = 1024;
@@ -25,6 +26,8 @@ pub struct CellBuffers {
     cached_group: Option<(u64, wgpu::BindGroup)>,
     sampler: wgpu::Sampler,
     last_scene: Option<layout::Scene>,
+    /// The sun volume that the cell's rays read; the cone without.
+    pub(crate) sun: Option<SunBinding>,
 }
 
 fn buffer(gpu: &Gpu, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
@@ -93,6 +96,7 @@ impl CellBuffers {
                 ..Default::default()
             }),
             last_scene: None,
+            sun: None,
         };
         cell.set_tables(gpu, &[]);
         cell
@@ -121,6 +125,42 @@ impl CellBuffers {
     #[must_use]
     pub fn scene(&self) -> Option<&layout::Scene> {
         self.last_scene.as_ref()
+    }
+
+    /// Lets the cell read a sun volume, whose textures are told apart by a number, as it is seen from its frame.
+    pub fn bind_sun(
+        &mut self,
+        gpu: &Gpu,
+        pipelines: &Pipelines,
+        volume: &SunVolumeTexture,
+        number: u64,
+        layers: u32,
+        seen: &layout::SunVolume,
+    ) {
+        let held = self.sun.take().filter(|sun| sun.texture == number);
+        let mut sun = held.unwrap_or_else(|| {
+            SunBinding::new(gpu, pipelines, &self.scene, volume, number, layers)
+        });
+        sun.set(gpu, seen);
+        self.sun = Some(sun);
+    }
+
+    /// What a marching kernel is specialised to in this cell.
+    #[must_use]
+    pub fn march_features(&self, layer: Features) -> Features {
+        Features {
+            sun_layers: self.sun.as_ref().map_or(0, |sun| sun.layers),
+            ..layer
+        }
+    }
+
+    /// Group 0 of a marching kernel with these features.
+    #[must_use]
+    pub fn march_group(&self, features: Features) -> &wgpu::BindGroup {
+        match &self.sun {
+            Some(sun) if features.sun_layers > 0 => &sun.group,
+            _ => &self.scene_group,
+        }
     }
 
     /// Writes where rays start, in the cell's frame.

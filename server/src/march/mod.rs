@@ -8,6 +8,7 @@ mod night;
 mod pixels;
 mod settings;
 mod sky;
+mod sun_columns;
 mod texels;
 mod uniforms;
 
@@ -18,6 +19,7 @@ pub use frame::CellFrame;
 pub use pixels::{LISTED_VALUES, MarchedPixels, PixelStrip, pixels_key};
 pub use settings::MarchSettings;
 pub use sky::{SkyLight, sky_light, sun_angular_radius_rad};
+pub use sun_columns::{SunBinding, SunVolumeTexture, sun_columns_key, without_own};
 pub use texels::{BATCH_TILES_MAX, TexelGroup, TexelMarch, texels_key};
 pub use uniforms::{
     ActiveLayer, EXPOSURE_AT_ZERO_EV, LayerBlend, active_layers, drift_m_per_s, grid_first_slices,

@@ -195,7 +195,7 @@ impl MarchedPixels {
             ),
         });
         pass.set_pipeline(pipeline);
-        pass.set_bind_group(0, &cell.scene_group, &[]);
+        pass.set_bind_group(0, cell.march_group(features), &[]);
         pass.set_bind_group(1, cell.field_group(), &[]);
         pass.set_bind_group(2, &self.write_group, &[]);
         pass.set_bind_group(3, &self.view_group, &[]);

@@ -1,6 +1,8 @@
 //! What a march does and leaves out: the knobs that trade time for error.
 
+use crate::sun_volume::SunVolumeSize;
 use serde::{Deserialize, Serialize};
+use skycell_protocol::SunDepth;
 
 /// How rays are marched. Every renderer of a scene takes the same settings; what they cost is the same for all.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -10,6 +12,10 @@ pub struct MarchSettings {
     pub steps: u32,
     /// Samples towards the sun, 1 to 64; without: the scene's.
     pub sun_steps: Option<u32>,
+    /// How optical depth towards the sun comes about; without: the scene's choice.
+    pub sun_depth: Option<SunDepth>,
+    /// Size of the sun volume, where one is used.
+    pub sun_volume: SunVolumeSize,
     /// Terms of the multiple-scattering sum, 1 to 16; without: the scene's.
     pub octaves: Option<u32>,
     /// A ray ends where hardly any light comes through any more.
@@ -39,6 +45,8 @@ impl Default for MarchSettings {
         Self {
             steps: 128,
             sun_steps: None,
+            sun_depth: None,
+            sun_volume: SunVolumeSize::default(),
             octaves: None,
             early_exit: true,
             low_density_skip: true,
@@ -65,6 +73,7 @@ impl MarchSettings {
             detail_noise: false,
             ambient: false,
             aerial_perspective: false,
+            sun_depth: Some(SunDepth::Cone),
             exact_interpolation: true,
             ..Self::default()
         }

@@ -145,7 +145,7 @@ impl TexelMarch {
                 continue;
             };
             pass.set_pipeline(pipeline);
-            pass.set_bind_group(0, &group.cell.scene_group, &[]);
+            pass.set_bind_group(0, group.cell.march_group(group.features), &[]);
             pass.set_bind_group(1, group.cell.field_group(), &[]);
             pass.set_bind_group(2, bind_group, &[]);
             pass.set_bind_group(3, &pipelines.empty_group, &[]);

@@ -2,8 +2,9 @@
 
 use super::settings::{PictureCodec, PointSettings};
 use crate::config::FrameFilter;
+use crate::sun_volume::SunVolumeSize;
 use serde::{Deserialize, Serialize};
-use skycell_protocol::RendererKind;
+use skycell_protocol::{RendererKind, SunDepth};
 
 /// What a sweep changes.
 #[derive(
@@ -17,6 +18,8 @@ pub enum Axis {
     Steps,
     /// Steps towards the sun.
     SunSteps,
+    /// Cone and volume towards the sun.
+    SunVolume,
     /// Terms of the multiple-scattering sum.
     Octaves,
     /// Frames over which one picture's steps are spread.
@@ -39,10 +42,11 @@ pub enum Axis {
 
 impl Axis {
     /// Every axis, in the order of the report.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Ladder,
         Self::Steps,
         Self::SunSteps,
+        Self::SunVolume,
         Self::Octaves,
         Self::Window,
         Self::Resolution,
@@ -61,6 +65,7 @@ impl Axis {
             Self::Ladder => "Ladder",
             Self::Steps => "Steps",
             Self::SunSteps => "Sun steps",
+            Self::SunVolume => "Sun volume",
             Self::Octaves => "Octaves",
             Self::Window => "Temporal window",
             Self::Resolution => "Resolution",
@@ -83,6 +88,9 @@ impl Axis {
             Self::Steps => "Steps through a layer's thickness (screen-space renderer).",
             Self::SunSteps => {
                 "Steps of the cone march to the sun; the last point is the many-step march that it stands for."
+            }
+            Self::SunVolume => {
+                "Cones of n steps, and sun volumes: distance of the finest columns, samples before the read. Each picture pays for its own volume; a server makes one for all cells and frames."
             }
             Self::Octaves => {
                 "Terms of the multiple-scattering sum; the reference has as many as the scene."
@@ -113,6 +121,7 @@ impl Axis {
             Self::Ladder => "rung",
             Self::Steps => "steps",
             Self::SunSteps => "sun steps",
+            Self::SunVolume => "cone and volume",
             Self::Octaves => "octaves",
             Self::Window => "frames",
             Self::Resolution => "divisor",
@@ -286,6 +295,7 @@ fn points_of(axis: Axis, extent: Extent, scene_octaves: u32) -> Vec<PlannedPoint
                 ..screen
             },
         ),
+        Axis::SunVolume => sun_volumes(extent, screen),
         Axis::Octaves => {
             let mut octaves =
                 extent.pick(vec![1], vec![1, 2, 3, 4, 6, 8, 12, 16], (1..=16).collect());
@@ -377,6 +387,46 @@ fn points_of(axis: Axis, extent: Extent, scene_octaves: u32) -> Vec<PlannedPoint
     }
 }
 
+/// Cones, then volumes from coarse to fine.
+fn sun_volumes(extent: Extent, screen: PointSettings) -> Vec<PlannedPoint> {
+    let cones: &[u32] = extent.pick(&[6], &[4, 6, 8, 12, 16], &[2, 3, 4, 6, 8, 12, 16, 24, 32]);
+    let cones = cones.iter().map(|steps| {
+        let settings = PointSettings {
+            sun_steps: Some(*steps),
+            sun_depth: Some(SunDepth::Cone),
+            ..screen
+        };
+        (format!("cone {steps}"), settings)
+    });
+    let spacings_m: &[f64] = extent.pick(&[100.0], &[100.0, 50.0], &[200.0, 100.0, 50.0, 25.0]);
+    let near_steps: &[u32] = extent.pick(&[2], &[0, 1, 2, 3], &[0, 1, 2, 3, 4, 6]);
+    let volumes = spacings_m.iter().flat_map(|spacing_m| {
+        near_steps.iter().map(move |near| {
+            let scale = 50.0 / spacing_m;
+            let size = SunVolumeSize {
+                columns: (256.0 * scale) as u32,
+                slices: (64.0 * scale) as u32,
+                spacing_m: *spacing_m,
+                near_steps: Some(*near),
+                ..SunVolumeSize::default()
+            };
+            let settings = PointSettings {
+                sun_depth: Some(SunDepth::Volume),
+                sun_volume: size.bounded(),
+                ..screen
+            };
+            (format!("volume {spacing_m} m, {near} near"), settings)
+        })
+    });
+    cones
+        .chain(volumes)
+        .zip(0u32..)
+        .map(|((label, settings), place)| {
+            PlannedPoint::new(Axis::SunVolume, label, place, settings)
+        })
+        .collect()
+}
+
 /// The rungs, each with all that those before it have.
 fn ladder(steps: u32) -> Vec<PlannedPoint> {
     let mut settings = PointSettings {
@@ -443,9 +493,14 @@ pub fn front_point(settings: &PointSettings) -> PlannedPoint {
         RendererKind::ScreenSpace => format!("1/{} sides", settings.resolution_divisor),
     };
     let label = format!(
-        "{} steps × {}, {} sun, {} octaves, {marched}",
+        "{} steps × {}, {}{} sun, {} octaves, {marched}",
         settings.steps,
         settings.samples,
+        if settings.sun_depth == Some(SunDepth::Volume) {
+            "volume "
+        } else {
+            ""
+        },
         from_scene(settings.sun_steps),
         from_scene(settings.octaves),
     );
@@ -491,6 +546,15 @@ pub fn neighbours(point: &PointSettings, scene_sun_steps: u32) -> Vec<PointSetti
         sun_steps: Some(n),
         ..*point
     }));
+    near.extend(
+        [SunDepth::Cone, SunDepth::Volume]
+            .into_iter()
+            .filter(|depth| point.sun_depth.unwrap_or_default() != *depth)
+            .map(|depth| PointSettings {
+                sun_depth: Some(depth),
+                ..*point
+            }),
+    );
     let filter = match point.filter {
         FrameFilter::CatmullRom => FrameFilter::Bilinear,
         FrameFilter::Bilinear => FrameFilter::CatmullRom,
@@ -564,12 +628,13 @@ mod tests {
     fn neighbours_differ_by_one_setting() {
         let point = PointSettings::cached(64, 8, 1.0);
         let near = neighbours(&point, 6);
-        assert_eq!(near.len(), 9);
+        assert_eq!(near.len(), 10);
         for other in near {
             let changed = u32::from(other.steps != point.steps)
                 + u32::from(other.samples != point.samples)
                 + u32::from(other.mip_bias != point.mip_bias)
                 + u32::from(other.sun_steps != point.sun_steps)
+                + u32::from(other.sun_depth != point.sun_depth)
                 + u32::from(other.filter != point.filter);
             assert_eq!(changed, 1, "{other:?}");
         }

@@ -59,6 +59,7 @@ fn quality_point(
     let PointSettings {
         steps,
         sun_steps,
+        sun_depth,
         octaves,
         samples,
         mip_bias,
@@ -80,6 +81,7 @@ fn quality_point(
         "settings": {
             "march_steps": steps,
             "sun_steps": sun_steps.unwrap_or(scene.light().sun_steps()),
+            "sun_depth": sun_depth.unwrap_or(scene.light().sun_depth()),
             // How many terms of the sum there are is the scene's to say: another number is another sky.
             "octaves": octaves,
             "samples": samples,

@@ -15,7 +15,7 @@ use crate::truth::{TruthError, reference_world};
 use glam::{DVec2, DVec3};
 use image::{ImageFormat, Rgb32FImage, RgbImage};
 use rayon::prelude::*;
-use skycell_protocol::{Camera, FrameSize, Scene};
+use skycell_protocol::{Camera, FrameSize, Scene, SunDepth};
 use skycell_reference::march::{ConvergeLimit, converged_ray};
 use skycell_reference::path::{Moments, PathSettings, trace_ray};
 use skycell_reference::picture::Projection;
@@ -70,6 +70,7 @@ impl ReferenceSource {
     pub fn screen_space(camera: &Camera, fineness: ReferenceFineness) -> Self {
         let exact = PointSettings {
             sun_steps: Some(fineness.sun_steps),
+            sun_depth: Some(SunDepth::Cone),
             early_exit: fineness.early_exit,
             exact_interpolation: true,
             ..PointSettings::screen_space(fineness.steps, fineness.samples)

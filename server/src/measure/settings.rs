@@ -3,9 +3,10 @@
 use crate::config::FrameFilter;
 use crate::frame_loop::StillSettings;
 use crate::march::MarchSettings;
+use crate::sun_volume::SunVolumeSize;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use skycell_protocol::{Camera, RendererKind};
+use skycell_protocol::{Camera, RendererKind, SunDepth};
 
 /// How the cache stores a texel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -34,6 +35,12 @@ pub struct PointSettings {
     pub steps: u32,
     /// Steps towards the sun; the scene's without.
     pub sun_steps: Option<u32>,
+    /// How optical depth towards the sun comes about; the scene's choice without.
+    #[serde(default)]
+    pub sun_depth: Option<SunDepth>,
+    /// Size of the sun volume, where one is used.
+    #[serde(default)]
+    pub sun_volume: SunVolumeSize,
     /// Terms of the multiple-scattering sum; the scene's without.
     pub octaves: Option<u32>,
     /// Rays end where nothing behind can be seen.
@@ -70,6 +77,8 @@ impl PointSettings {
             renderer: RendererKind::ScreenSpace,
             steps,
             sun_steps: None,
+            sun_depth: None,
+            sun_volume: SunVolumeSize::default(),
             octaves: None,
             early_exit: true,
             low_density_skip: true,
@@ -105,6 +114,8 @@ impl PointSettings {
             march: MarchSettings {
                 steps: self.steps,
                 sun_steps: self.sun_steps,
+                sun_depth: self.sun_depth,
+                sun_volume: self.sun_volume,
                 octaves: self.octaves,
                 early_exit: self.early_exit,
                 low_density_skip: self.low_density_skip,
@@ -130,6 +141,7 @@ impl PointSettings {
     pub fn is_quality(&self) -> bool {
         let served = Self {
             sun_steps: self.sun_steps,
+            sun_depth: self.sun_depth,
             octaves: self.octaves,
             filter: self.filter,
             ..Self::cached(self.steps, self.samples, self.mip_bias)

@@ -38,6 +38,9 @@ pub struct Cost {
     pub marches: u64,
     /// Texture reads, counted by the shader.
     pub texture_reads: Option<u64>,
+    /// Look-ups of density for columns of the sun volume; they are among the texture reads.
+    #[serde(default)]
+    pub sun_volume_evaluations: u64,
     /// Time by the device's timestamps.
     pub gpu_ns: Option<u64>,
     /// Time by the clock, compositing and reading back included.

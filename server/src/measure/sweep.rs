@@ -186,6 +186,7 @@ impl Sweep {
             cost: Cost {
                 marches,
                 texture_reads,
+                sun_volume_evaluations: picture.figures.sun_volume_evaluations,
                 gpu_ns,
                 wall_s,
                 ..Cost::default()

@@ -3,13 +3,15 @@
 use super::{Round, group};
 use crate::atmosphere::BaseTables;
 use crate::field::FieldStore;
-use crate::gpu::{FieldTextures, Gpu, GpuError, PipelineKey, Pipelines};
+use crate::gpu::{FieldTextures, Gpu, GpuError, PipelineKey, Pipelines, TimingRing};
 use crate::march::{
-    ActiveLayer, CellBuffers, CellFrame, MarchSettings, active_layers, layer_features,
-    placed_sheets, placed_weather, scene_uniform, sky_light, sun_angular_radius_rad, wind_drifts,
+    ActiveLayer, CellBuffers, CellFrame, MarchSettings, SunVolumeTexture, active_layers,
+    layer_features, placed_sheets, placed_weather, scene_uniform, sky_light,
+    sun_angular_radius_rad, sun_columns_key, wind_drifts,
 };
-use glam::DVec3;
-use skycell_protocol::Scene;
+use crate::sun_volume::{Generation, GenerationInputs, LayerShell, serves, sun_volume_uniform};
+use glam::{DVec2, DVec3};
+use skycell_protocol::{Scene, SunDepth};
 use skycell_shaders::{Kernel, layout};
 use std::path::Path;
 
@@ -81,6 +83,17 @@ impl FieldProbe {
         let mut field = FieldTextures::new(&gpu, &pipelines.field_layout, store);
         field.set_grids(&gpu, &pipelines.field_layout, scene, grids_dir);
         let active = active_layers(scene);
+        let frame = CellFrame::at(origin_m, scene.planet().radius_m());
+        let air = BaseTables::of(scene, sun_angular_radius_rad(), None);
+        let light = sky_light(
+            scene,
+            air.as_ref(),
+            active.first().map_or(0.0, |l| l.proxy_altitude_m),
+        );
+        let has_volume = settings.sun_depth.unwrap_or(scene.light().sun_depth())
+            == SunDepth::Volume
+            && !active.is_empty()
+            && serves(light.sun_direction);
         let mut keys = Vec::new();
         let maps = placed_weather(scene, &active);
         let sheets = placed_sheets(scene, &active);
@@ -88,7 +101,10 @@ impl FieldProbe {
         for layer in &active {
             keys.push(PipelineKey {
                 kernel: Kernel::ProbeField,
-                features: layer_features(scene, layer.scene_index, &settings),
+                features: skycell_shaders::Features {
+                    sun_layers: if has_volume { active.len() as u32 } else { 0 },
+                    ..layer_features(scene, layer.scene_index, &settings)
+                },
             });
         }
         if keys.is_empty() {
@@ -103,18 +119,22 @@ impl FieldProbe {
         for key in &keys {
             pipelines.prepare(&gpu, *key)?;
         }
-        let frame = CellFrame::at(origin_m, scene.planet().radius_m());
-        let air = BaseTables::of(scene, sun_angular_radius_rad(), None);
-        let light = sky_light(
-            scene,
-            air.as_ref(),
-            active.first().map_or(0.0, |l| l.proxy_altitude_m),
-        );
         let anchors = vec![frame.from_world(origin_m); active.len()];
         let drifts = wind_drifts(scene, time_s);
         let uniform = scene_uniform(scene, &active, &light, settings, &frame, &drifts, &anchors);
         let mut cell = CellBuffers::new(&gpu, &pipelines, &field.bind_group);
         cell.set_scene(&gpu, &uniform);
+        if has_volume {
+            let around = SunAround {
+                scene,
+                settings,
+                active: &active,
+                drifts: &drifts,
+                frame: &frame,
+                field: &field.bind_group,
+            };
+            around.bind(&gpu, &mut pipelines, &mut cell)?;
+        }
         Ok(Self {
             gpu,
             pipelines,
@@ -211,7 +231,7 @@ impl FieldProbe {
         {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
             pass.set_pipeline(pipeline);
-            pass.set_bind_group(0, &self.cell.scene_group, &[]);
+            pass.set_bind_group(0, self.cell.march_group(key.features), &[]);
             pass.set_bind_group(1, self.cell.field_group(), &[]);
             pass.set_bind_group(2, &data, &[]);
             pass.set_bind_group(3, &asked, &[]);
@@ -219,5 +239,106 @@ impl FieldProbe {
         }
         self.gpu.queue.submit([encoder.finish()]);
         round.read(&self.gpu, points.len())
+    }
+}
+
+/// What the sun volume around a place is made of.
+struct SunAround<'a> {
+    scene: &'a Scene,
+    settings: MarchSettings,
+    active: &'a [ActiveLayer],
+    drifts: &'a [DVec3],
+    frame: &'a CellFrame,
+    field: &'a wgpu::BindGroup,
+}
+
+impl SunAround<'_> {
+    /// Makes the whole volume at once and lets the cell read it.
+    fn bind(
+        &self,
+        gpu: &Gpu,
+        pipelines: &mut Pipelines,
+        cell: &mut CellBuffers,
+    ) -> Result<(), GpuError> {
+        let [x, z] = self.frame.origin_m();
+        let center_m = DVec2::new(x, z);
+        let layers: Vec<(LayerShell, DVec3, f64)> = self
+            .active
+            .iter()
+            .map(|active| {
+                let layer = &self.scene.layers()[active.scene_index];
+                let drift = self.drifts[active.scene_index];
+                let shell = LayerShell {
+                    base_altitude_m: layer.base_altitude_m(),
+                    top_altitude_m: layer.top_altitude_m(),
+                };
+                (shell, drift, layer.extinction_per_m())
+            })
+            .collect();
+        let inputs = GenerationInputs {
+            direction: sky_light(self.scene, None, 0.0).sun_direction,
+            center_m,
+            planet_radius_m: self.scene.planet().radius_m(),
+            layers: layers
+                .iter()
+                .map(|(shell, drift_m, _)| (*shell, *drift_m))
+                .collect(),
+        };
+        let mut volume =
+            Generation::new(self.settings.sun_volume.fitting(self.active.len()), &inputs);
+        let light = sky_light(self.scene, None, 0.0);
+        let anchors = vec![DVec3::ZERO; self.active.len()];
+        let scenes: Vec<_> = (0..volume.layers())
+            .map(|layer| {
+                let at = volume.origin_m(layer);
+                let frame =
+                    CellFrame::at(DVec3::new(at.x, 0.0, at.y), self.scene.planet().radius_m());
+                let still = DVec3::new(0.0, volume.risen_m(layer), 0.0);
+                scene_uniform(
+                    self.scene,
+                    self.active,
+                    &light,
+                    self.settings,
+                    &frame,
+                    &vec![still; self.drifts.len()],
+                    &anchors,
+                )
+            })
+            .collect();
+        let features: Vec<_> = self
+            .active
+            .iter()
+            .map(|layer| layer_features(self.scene, layer.scene_index, &self.settings))
+            .collect();
+        for features in &features {
+            pipelines.prepare(gpu, sun_columns_key(*features))?;
+        }
+        let texture = SunVolumeTexture::new(gpu, pipelines, &volume, &scenes);
+        let strips = volume.advance(&inputs, u64::MAX);
+        let mut encoder = gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        texture.record(
+            gpu,
+            &mut encoder,
+            &mut TimingRing::new(gpu),
+            pipelines,
+            self.field,
+            &volume,
+            &strips,
+            &features,
+        );
+        gpu.queue.submit([encoder.finish()]);
+        let layers: Vec<_> = layers
+            .iter()
+            .map(|(_, drift, extinction)| (DVec2::new(drift.x, drift.z), *extinction))
+            .collect();
+        let sun_steps = self
+            .settings
+            .sun_steps
+            .unwrap_or(self.scene.light().sun_steps());
+        let sun = sun_volume_uniform(&volume, center_m, &layers, sun_steps);
+        cell.bind_sun(gpu, pipelines, &texture, 0, volume.layers() as u32, &sun);
+        Ok(())
     }
 }

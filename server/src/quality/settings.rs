@@ -2,6 +2,7 @@
 
 use crate::config::FrameFilter;
 use serde::{Deserialize, Serialize};
+use skycell_protocol::SunDepth;
 
 /// Settings that trade speed for accuracy. The march's belong to a view cell, since its viewers share what is marched;
 /// mip bias and filter are a viewer's own.
@@ -13,6 +14,9 @@ pub struct QualitySettings {
     /// Samples towards the sun, 1 to 64; without: the scene's.
     #[serde(default)]
     pub sun_steps: Option<u32>,
+    /// How optical depth towards the sun comes about; without: the scene's choice.
+    #[serde(default)]
+    pub sun_depth: Option<SunDepth>,
     /// Terms of the multiple-scattering sum, 1 to 16; without, and at most: the scene's.
     #[serde(default)]
     pub octaves: Option<u32>,
@@ -29,6 +33,7 @@ impl Default for QualitySettings {
         Self {
             march_steps: 128,
             sun_steps: None,
+            sun_depth: None,
             octaves: None,
             samples: 8,
             mip_bias: 0.0,
@@ -49,6 +54,11 @@ impl QualitySettings {
         Self {
             march_steps: self.march_steps.max(other.march_steps),
             sun_steps: more(self.sun_steps, other.sun_steps, scene_sun_steps),
+            // The volume errs less at as many steps.
+            sun_depth: match (self.sun_depth, other.sun_depth) {
+                (Some(SunDepth::Volume), _) | (_, Some(SunDepth::Volume)) => Some(SunDepth::Volume),
+                (own, others) => own.or(others),
+            },
             octaves: more(self.octaves, other.octaves, scene_octaves),
             samples: self.samples.max(other.samples),
             ..self

@@ -1,7 +1,8 @@
 //! What `skycell-server render` can be told.
 
 use crate::march::MarchSettings;
-use skycell_protocol::Show;
+use crate::sun_volume::SunVolumeSize;
+use skycell_protocol::{Show, SunDepth};
 use skycell_reference::Approximations;
 use std::path::PathBuf;
 
@@ -84,6 +85,12 @@ pub struct RenderArguments {
     /// Samples towards the sun, 1 to 64; without: the scene's.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub sun_steps: Option<u32>,
+    /// How optical depth towards the sun comes about on the device; without: the scene's choice.
+    #[arg(long, value_enum)]
+    pub sun_depth: Option<SunDepthChoice>,
+    /// Size of the sun volume as JSON: columns, slices, levels, spacing_m, near_steps, near_columns.
+    #[arg(long, value_name = "JSON", value_parser = parsed_sun_volume)]
+    pub sun_volume: Option<SunVolumeSize>,
     /// Relative change that counts as none when the reference halves its steps.
     #[arg(long, default_value_t = 1e-4)]
     pub tolerance: f64,
@@ -143,6 +150,28 @@ pub enum SunChoice {
     Disc,
     /// One direction.
     Point,
+}
+
+/// How optical depth towards the sun comes about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum SunDepthChoice {
+    /// A march towards the sun from every step.
+    Cone,
+    /// One volume for all steps.
+    Volume,
+}
+
+impl From<SunDepthChoice> for SunDepth {
+    fn from(choice: SunDepthChoice) -> Self {
+        match choice {
+            SunDepthChoice::Cone => Self::Cone,
+            SunDepthChoice::Volume => Self::Volume,
+        }
+    }
+}
+
+fn parsed_sun_volume(text: &str) -> Result<SunVolumeSize, String> {
+    serde_json::from_str(text).map_err(|error| error.to_string())
 }
 
 /// What makes a picture cheaper or nicer and numbers harder to compare.

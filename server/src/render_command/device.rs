@@ -64,6 +64,8 @@ fn settings(
         march: chosen.of_march(MarchSettings {
             steps: arguments.steps.unwrap_or(128),
             sun_steps: arguments.sun_steps,
+            sun_depth: arguments.sun_depth.map(Into::into),
+            sun_volume: arguments.sun_volume.unwrap_or_default(),
             octaves,
             exact_interpolation: interpolation == Interpolation::Exact,
             count_reads: arguments.json,
@@ -165,12 +167,14 @@ pub(super) fn run(
     }
     let totals = still.totals();
     if arguments.json {
-        let [cache_ns, composite_ns, screen_space_ns] = still.gpu_times_ns();
+        let [cache_ns, composite_ns, screen_space_ns, _] = still.gpu_times_ns();
         let told = json!({
             "out": arguments.out, "adapter": still.adapter(), "wall_s": figures.wall_s,
-            "marches": figures.marches, "texture_reads": figures.texture_reads,
+            "marches": figures.marches, "sun_volume_evaluations_of_picture": figures.sun_volume_evaluations, "texture_reads": figures.texture_reads,
             "texels_updated": totals.texels_updated, "tiles_updated": totals.tiles_updated,
-            "screen_space_marches": totals.screen_space_marches, "cache_bytes": totals.cache_bytes,
+            "screen_space_marches": totals.screen_space_marches,
+            "sun_volume_evaluations": totals.sun_volume_evaluations, "sun_volume_columns": totals.sun_volume_columns,
+            "sun_volume_bytes": totals.sun_volume_bytes, "gpu_sun_volume_ns": totals.gpu_sun_volume_ns, "cache_bytes": totals.cache_bytes,
             "gpu_cache_ns": cache_ns, "gpu_composite_ns": composite_ns, "gpu_screen_space_ns": screen_space_ns,
             "device": still.inventory(), "reads": still.reads()?,
         });

@@ -12,6 +12,9 @@
 #import skycell::density::{bounded_density, over_bounds}
 #endif
 #endif
+#ifdef SUN_VOLUME
+#import skycell::sun_volume::{SunLayer, sun_layer, volume_place, volume_depth}
+#endif
 
 @group(0) @binding(0) var<uniform> scene: Scene;
 
@@ -57,6 +60,40 @@ struct RayScene {
     sun_direction: vec3f,
     sun_steps: u32,
     sun_march_distance_m: f32,
+#ifdef SUN_VOLUME
+    /// The sun volume of the ray's layer, and of the others.
+    sun_own: SunLayer,
+#if SUN_LAYERS > 1
+    sun_second: SunLayer,
+#endif
+#if SUN_LAYERS > 2
+    sun_third: SunLayer,
+#endif
+#if SUN_LAYERS > 3
+    sun_fourth: SunLayer,
+#endif
+#endif
+}
+
+fn ray_scene(layer_index: u32) -> RayScene {
+    var ray: RayScene;
+    ray.planet_radius_m = scene.planet.radius_m;
+    ray.sun_direction = scene.sun.direction;
+    ray.sun_steps = scene.light.sun_steps;
+    ray.sun_march_distance_m = scene.light.sun_march_distance_m;
+#ifdef SUN_VOLUME
+    ray.sun_own = sun_layer(layer_index);
+#if SUN_LAYERS > 1
+    ray.sun_second = sun_layer((layer_index + 1u) % #{SUN_LAYERS}u);
+#endif
+#if SUN_LAYERS > 2
+    ray.sun_third = sun_layer((layer_index + 2u) % #{SUN_LAYERS}u);
+#endif
+#if SUN_LAYERS > 3
+    ray.sun_fourth = sun_layer((layer_index + 3u) % #{SUN_LAYERS}u);
+#endif
+#endif
+    return ray;
 }
 
 /// Length of a step at a distance from the ray's origin, m: step_min_m, and in proportion to the distance beyond.
@@ -91,10 +128,45 @@ fn first_sample_at(layer: Layer, distance_m: f32, start_fraction: f32) -> f32 {
     return ceil(steps_at(layer, distance_m) - start_fraction) + start_fraction;
 }
 
+/// Density at a place as the sun sees it, 0...1: without detail, and 0 outside the layer.
+fn sun_density(planet_radius_m: f32, layer: Layer, position: vec3f) -> f32 {
+    let altitude = altitude_m(planet_radius_m, position);
+    let thickness_m = max(layer.top_altitude_m - layer.base_altitude_m, 1e-3);
+    let height_fraction = (altitude - layer.base_altitude_m) / thickness_m;
+    let inside = height_fraction >= 0.0 && height_fraction <= 1.0;
+#ifdef DENSITY_WEATHER
+    let profile = dimensional_profile(layer, map_texel(layer, position.xz), height_fraction);
+    let density = smooth_density(layer, position, altitude, height_fraction, profile);
+#else
+#ifdef DENSITY_CIRRUS
+    let density = sheet_density(layer, position.xz);
+#else
+    let density = bounded_density(layer, position, altitude);
+#endif
+#endif
+    return select(0.0, density, inside);
+}
+
+/// Optical depth towards the sun of the layers that a ray does not march through, where the volume knows them.
+fn other_layers_sun_depth(ray: RayScene, position: vec3f) -> f32 {
+    var depth = 0.0;
+#if SUN_LAYERS > 1
+    depth += volume_depth(ray.planet_radius_m, ray.sun_second, volume_place(ray.planet_radius_m, ray.sun_second, position), position);
+#endif
+#if SUN_LAYERS > 2
+    depth += volume_depth(ray.planet_radius_m, ray.sun_third, volume_place(ray.planet_radius_m, ray.sun_third, position), position);
+#endif
+#if SUN_LAYERS > 3
+    depth += volume_depth(ray.planet_radius_m, ray.sun_fourth, volume_place(ray.planet_radius_m, ray.sun_fourth, position), position);
+#endif
+    return depth;
+}
+
 #ifdef DENSITY_CIRRUS
 /// Optical depth from a point of a sheet towards the sun: as if the sheet were everywhere as dense as at the point.
 fn sun_optical_depth(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
-    return sheet_sun_length_m(ray, layer, position) * sheet_density(layer, position.xz) * layer.extinction_per_m;
+    let own = sheet_sun_length_m(ray, layer, position) * sheet_density(layer, position.xz) * layer.extinction_per_m;
+    return own + other_layers_sun_depth(ray, position);
 }
 
 /// The way from a point of a sheet towards the sun inside it, m.
@@ -103,29 +175,31 @@ fn sheet_sun_length_m(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
     return min(max(way.first_end_m - way.first_start_m, 0.0), ray.sun_march_distance_m);
 }
 #else
-/// Optical depth from a point towards the sun within its layer, by sun_steps samples at quadratically growing distances.
+/// Optical depth from a point towards the sun. By the cone: within the point's layer, by sun_steps samples in the middles
+/// of quadratically growing parts. By the volume: of all layers and to their ends, the first part by samples and the rest
+/// by one read; where no level of the volume knows the point, by the cone.
 fn sun_optical_depth(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
-    let count = f32(ray.sun_steps);
-    let thickness_m = max(layer.top_altitude_m - layer.base_altitude_m, 1e-3);
+    var steps = ray.sun_steps;
+    var distance_m = ray.sun_march_distance_m;
+    var beyond = 0.0;
+#ifdef SUN_VOLUME
+    let place = volume_place(ray.planet_radius_m, ray.sun_own, position);
+    steps = select(steps, ray.sun_own.near_steps, place.is_known);
+    distance_m = select(distance_m, place.near_m, place.is_known);
+    beyond = volume_depth(ray.planet_radius_m, ray.sun_own, place, position + ray.sun_direction * place.near_m);
+    beyond += other_layers_sun_depth(ray, position);
+#endif
+    let count = f32(steps);
     var sum_m = 0.0;
-    for (var i = 0u; i < ray.sun_steps; i += 1u) {
+    for (var i = 0u; i < steps; i += 1u) {
         let near = f32(i) / count;
         let far = f32(i + 1u) / count;
-        let start_m = near * near * ray.sun_march_distance_m;
-        let end_m = far * far * ray.sun_march_distance_m;
+        let start_m = near * near * distance_m;
+        let end_m = far * far * distance_m;
         let sample = position + ray.sun_direction * (0.5 * (start_m + end_m));
-        let altitude = altitude_m(ray.planet_radius_m, sample);
-        let height_fraction = (altitude - layer.base_altitude_m) / thickness_m;
-        let inside = height_fraction >= 0.0 && height_fraction <= 1.0;
-#ifdef DENSITY_WEATHER
-        let profile = dimensional_profile(layer, map_texel(layer, sample.xz), height_fraction);
-        let density = smooth_density(layer, sample, altitude, height_fraction, profile);
-#else
-        let density = bounded_density(layer, sample, altitude);
-#endif
-        sum_m += select(0.0, density * (end_m - start_m), inside);
+        sum_m += sun_density(ray.planet_radius_m, layer, sample) * (end_m - start_m);
     }
-    return sum_m * layer.extinction_per_m;
+    return sum_m * layer.extinction_per_m + beyond;
 }
 #endif
 
@@ -142,12 +216,7 @@ fn sheet_samples(length_m: f32, across: f32) -> f32 {
 
 /// One ray through a thin sheet: a few samples where it is met, no march. start_fraction in 0...1 as in the other march_layer.
 fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction: f32) -> LayerRadiance {
-    let ray = RayScene(
-        scene.planet.radius_m,
-        scene.sun.direction,
-        scene.light.sun_steps,
-        scene.light.sun_march_distance_m,
-    );
+    let ray = ray_scene(layer_index);
     var octave_attenuation: array<vec4f, #{OCTAVE_VECTORS}>;
     for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_attenuation[k] = scene.light.octave_attenuation[k]; }
     let layer = scene.layers[layer_index];
@@ -177,7 +246,8 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         let optical_depth = density * layer.extinction_per_m * length_m;
         let opacity = optical_depth * one_minus_exp_over(optical_depth);
         let weight = transmittance * opacity;
-        let sun_depth = sheet_sun_length_m(ray, layer, position) * density * layer.extinction_per_m;
+        let own_depth = sheet_sun_length_m(ray, layer, position) * density * layer.extinction_per_m;
+        let sun_depth = own_depth + other_layers_sun_depth(ray, position);
         for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) {
             octave_sums[k] += weight * exp(-octave_attenuation[k] * sun_depth);
         }
@@ -194,12 +264,7 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
 #else
 /// Marches one ray through one layer. start_fraction in 0...1 shifts the samples by that share of a step.
 fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction: f32) -> LayerRadiance {
-    let ray = RayScene(
-        scene.planet.radius_m,
-        scene.sun.direction,
-        scene.light.sun_steps,
-        scene.light.sun_march_distance_m,
-    );
+    let ray = ray_scene(layer_index);
     var octave_attenuation: array<vec4f, #{OCTAVE_VECTORS}>;
     for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_attenuation[k] = scene.light.octave_attenuation[k]; }
     let layer = scene.layers[layer_index];

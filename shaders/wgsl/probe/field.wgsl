@@ -1,6 +1,6 @@
 // Functions that read the scene or its cloud field, at given points, one thread per point: for comparison with their f64
 // twins and for the probe command.
-#import skycell::march::{scene, steps_at, distance_at_m, first_sample_at, sun_optical_depth, RayScene, LayerRadiance}
+#import skycell::march::{scene, steps_at, distance_at_m, first_sample_at, sun_optical_depth, ray_scene, LayerRadiance}
 #import skycell::scene::Layer
 #import skycell::shell::{altitude_m, layer_intervals}
 #import skycell::phase::{one_minus_mu, phase_per_sr, phase_over_disc_per_sr}
@@ -80,8 +80,7 @@ fn probe_field(@builtin(global_invocation_id) id: vec3u) {
         }
         // Optical depth from a.xyz towards the sun.
         case 4u: {
-            let ray = RayScene(world.planet.radius_m, world.sun.direction, world.light.sun_steps, world.light.sun_march_distance_m);
-            value.x = sun_optical_depth(ray, layer, a.xyz);
+            value.x = sun_optical_depth(ray_scene(question.z), layer, a.xyz);
         }
         // over_bounds(origin = a.xyz, direction = b.xyz)
         case 5u: {

@@ -19,6 +19,7 @@ mod shells;
 mod stage;
 mod steps;
 mod sun;
+mod sun_volume;
 mod time;
 mod truth;
 
@@ -28,7 +29,7 @@ use stage::{Stage, stage};
 type Run = fn(&mut Stage) -> Line;
 
 /// How many cases each line has.
-const CASES: [(Run, usize); 22] = [
+const CASES: [(Run, usize); 24] = [
     (sun::anywhere, 102),
     (sun::along_the_ray, 8),
     (camera::anywhere, 92),
@@ -51,6 +52,8 @@ const CASES: [(Run, usize); 22] = [
     (maps::mixed, 1),
     (sheets::anywhere, 66),
     (time::any_clock, 12),
+    (sun_volume::anywhere, 32),
+    (sun_volume::through_slabs, 33),
 ];
 
 fn check(index: usize) {
@@ -95,4 +98,6 @@ lines! {
     maps_on_their_way_are_the_references_mix = 19;
     sheets_may_be_seen_from_anywhere_even_along_them = 20;
     clocks_may_stand_race_and_run_backwards_at_any_place = 21;
+    the_sun_volume_serves_any_sun_place_and_time = 22;
+    the_sun_volume_holds_slabs_and_what_stands_above_them = 23;
 }

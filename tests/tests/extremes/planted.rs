@@ -2,7 +2,7 @@
 
 use super::line::Line;
 use super::stage::{Stage, stage};
-use super::{camera, depth, layers, maps, phase, sheets, shells, steps};
+use super::{camera, depth, layers, maps, phase, sheets, shells, steps, sun_volume};
 use skycell_shaders::SourceEdit;
 
 /// What is planted where; the text must be there.
@@ -27,7 +27,7 @@ type Case = (
     fn(&mut Stage) -> Line,
 );
 
-const DEFECTS: [Case; 10] = [
+const DEFECTS: [Case; 12] = [
     (
         "shell roots from squares of radii",
         edit!(
@@ -128,6 +128,26 @@ const DEFECTS: [Case; 10] = [
         ),
         "grazing rays",
         shells::grazed,
+    ),
+    (
+        "a sun volume that leaves out the layers above",
+        edit!(
+            "march/march.wgsl",
+            "beyond += other_layers_sun_depth(ray, position);",
+            "beyond += 0.0;"
+        ),
+        "sun volume through slabs",
+        sun_volume::through_slabs,
+    ),
+    (
+        "a sun volume read half a slice too low",
+        edit!(
+            "march/sun_volume.wgsl",
+            "(0.5 + saturate(height_fraction) * sun.slices)",
+            "(saturate(height_fraction) * sun.slices)"
+        ),
+        "sun volume through slabs",
+        sun_volume::through_slabs,
     ),
 ];
 

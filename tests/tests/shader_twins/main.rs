@@ -9,6 +9,7 @@ mod march;
 mod phase;
 mod sheet;
 mod sky;
+mod sun_volume;
 mod support;
 mod tone;
 mod transport;

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use serde_json::Value;
-use skycell_protocol::Scene;
+use skycell_protocol::{Scene, SunDepth};
 use skycell_reference::{Approximations, World};
 use skycell_server::march::MarchSettings;
 use skycell_server::probe::{FieldPoint, FieldProbe, FieldQuestion, FieldValue};
@@ -54,12 +54,18 @@ impl SceneProbe {
 
     /// As [`Self::open`], at a sky time.
     pub(crate) fn open_at(document: &Value, exact: bool, time_s: f64) -> Self {
-        let scene = Scene::from_json(document).expect("a valid document");
-        let noise = noise_dir();
         let settings = MarchSettings {
             exact_interpolation: exact,
+            sun_depth: Some(SunDepth::Cone),
             ..MarchSettings::default()
         };
+        Self::open_with(document, settings, time_s)
+    }
+
+    /// As [`Self::open_at`], marched as settings tell.
+    pub(crate) fn open_with(document: &Value, settings: MarchSettings, time_s: f64) -> Self {
+        let scene = Scene::from_json(document).expect("a valid document");
+        let noise = noise_dir();
         let device = FieldProbe::open(&scene, settings, DVec3::ZERO, time_s, &noise, &noise);
         Self {
             device: device.expect("a device"),

@@ -11,6 +11,7 @@ use crate::world::Medium;
 use crate::{LayerGathered, Ray, RayResult, ReferenceError, World, WorldLayer};
 use glam::DVec3;
 use serde::Serialize;
+use skycell_protocol::SunDepth;
 
 /// Once less than this share of the tolerance can still come through, nothing behind is lit any more; only the optical
 /// depth is followed to the end.
@@ -62,9 +63,9 @@ pub struct Converged {
     pub converged: bool,
 }
 
-/// Marches a ray by the model (single scattering, octaves, ambient term; sun march within the layer and over the scene's
-/// distance), halving the steps until radiance (every channel) and transmittance change by less than `tolerance` (relative)
-/// twice in a row.
+/// Marches a ray by the model (single scattering, octaves, ambient term; towards the sun all layers to their ends, or where
+/// the scene's `sun_depth` is the cone, the ray's own layer over the scene's distance), halving the steps until radiance
+/// (every channel) and transmittance change by less than `tolerance` (relative) twice in a row.
 ///
 /// Unlike the renderer it never stops in thin cloud, and shows layers in front of the ground. Boxes, balls and grids are
 /// met exactly; weather is looked up wherever its upper bound is not 0.
@@ -233,15 +234,28 @@ impl<'a> LayerMarch<'a> {
         }
     }
 
-    /// ∫ σ dt towards the sun within the layer, and evaluations.
+    /// ∫ σ dt towards the sun, and evaluations: of all layers to their ends, or where the scene has the cone, of this one
+    /// over the cone's length.
     fn sun_depth(&self, position_m: DVec3) -> (f64, u64) {
+        match self.world.scene().light().sun_depth() {
+            SunDepth::Cone => self.sun_depth_of(self.place, position_m, self.sun_end_m),
+            SunDepth::Volume => (0..self.world.layers().len())
+                .map(|place| self.sun_depth_of(place, position_m, f64::INFINITY))
+                .fold((0.0, 0), |(depth, count), (more, further)| {
+                    (depth + more, count + further)
+                }),
+        }
+    }
+
+    fn sun_depth_of(&self, place: usize, position_m: DVec3, end_m: f64) -> (f64, u64) {
+        let layer = &self.world.layers()[place];
         let ray = Ray {
             origin_m: position_m,
             direction: self.world.light().sun_direction,
         };
-        let exact = matches!(self.world.majorant(self.place), Majorant::Exact);
+        let exact = matches!(self.world.majorant(place), Majorant::Exact);
         let (mut length_m, mut evaluations) = (0.0, 0);
-        each_span(self.world, self.place, &ray, self.sun_end_m, |span| {
+        each_span(self.world, place, &ray, end_m, |span| {
             if exact {
                 length_m += span.length_m();
                 evaluations += 1;
@@ -252,13 +266,13 @@ impl<'a> LayerMarch<'a> {
             let mut sum = 0.0;
             for i in 0..count as u64 {
                 let at = ray.at(span.start_m + (i as f64 + 0.5) * step_m);
-                sum += self.world.smooth_density(self.layer, at);
+                sum += self.world.smooth_density(layer, at);
             }
             evaluations += count as u64;
             length_m += sum * step_m;
             true
         });
-        (length_m * self.layer.extinction_per_m, evaluations)
+        (length_m * layer.extinction_per_m, evaluations)
     }
 
     /// Density and dimensional profile, as a ray at a distance sees them.

@@ -296,7 +296,7 @@ fn finest<'a>(
             points.max_by(by_position)
         }
         Axis::Resolution | Axis::MipBias | Axis::Offset => points.min_by(by_position),
-        Axis::Ladder | Axis::Window | Axis::TexelFormat | Axis::Front => None,
+        Axis::Ladder | Axis::SunVolume | Axis::Window | Axis::TexelFormat | Axis::Front => None,
     }
 }
 
