@@ -103,8 +103,8 @@ const DEFECTS: [Case; 12] = [
         "maps blended the wrong way round",
         edit!(
             "cloud/blend.wgsl",
-            "mix(old.xy, new.xy, share)",
-            "mix(new.xy, old.xy, share)"
+            "mix(earlier.xy, later.xy, share)",
+            "mix(later.xy, earlier.xy, share)"
         ),
         "maps on their way",
         maps::mixed,

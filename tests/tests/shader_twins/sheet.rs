@@ -80,7 +80,7 @@ fn sheets_are_as_dense_as_at_places_a_few_centimetres_away() {
 fn a_sheets_depth_towards_the_sun_is_that_of_its_slab() {
     for elevation_deg in [90.0, 40.0, 3.0, -1.0] {
         let probe = SceneProbe::open(&sheet(elevation_deg), true);
-        let points = places(3_000);
+        let points = places(10_000);
         let values = probe.ask(FieldQuestion::SunOpticalDepth, &points);
         let layer = &probe.world.layers()[0];
         let check = |factor: f64| {
