@@ -6,6 +6,12 @@ use serde_json::{Map, Value};
 /// layers, and nobody sees it.
 const FADED_MIN: f64 = 1e-9;
 
+/// What a scene may lack, and the number of it that makes it as good as absent: the moon rises and sets, stars fade.
+const LIGHTS_OF_THE_NIGHT: [(&str, &str, f64); 2] = [
+    ("moon", "elevation_deg", -20.0),
+    ("stars", "brightness", 0.0),
+];
+
 /// Keys whose numbers are places or lengths in the sky's pattern: between two values clouds would race past.
 const PATTERN_SUFFIXES: [&str; 8] = [
     "towards_deg",
@@ -24,6 +30,19 @@ pub(super) fn blend(from: &Value, to: &Value, share: f64) -> Value {
         return to.clone();
     }
     let mut mixed = mix("", from, to, share);
+    for (key, number, gone) in LIGHTS_OF_THE_NIGHT {
+        let without = |present: &Value| {
+            let mut absent = present.clone();
+            absent[number] = Value::from(gone);
+            absent
+        };
+        let sides = (from.get(key), to.get(key));
+        if let (Some(Value::Null), Some(there @ Value::Object(_))) = sides {
+            mixed[key] = mix(key, &without(there), there, share);
+        } else if let (Some(there @ Value::Object(_)), Some(Value::Null)) = sides {
+            mixed[key] = mix(key, there, &without(there), share);
+        }
+    }
     if from.pointer("/planet/radius_m") != to.pointer("/planet/radius_m") {
         // Everything stands on the planet: it changes at once.
         mixed["planet"] = to["planet"].clone();
