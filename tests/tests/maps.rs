@@ -1,14 +1,19 @@
 //! Maps replaced while people watch: a sky gathers and clears, bad files change nothing, a restart keeps all.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
 use serde_json::json;
 use skycell_client::{HttpApiError, MapChoice};
 use skycell_protocol::scene::MapKind;
+use skycell_protocol::{Camera, FrameSize, Scene};
+use skycell_server::config::RenderConfig;
 use skycell_server::field::{GreyMap, MapFileFormat};
+use skycell_server::frame_loop::{StillRenderer, StillSettings};
+use skycell_server::march::MarchSettings;
 use skycell_tests::picture::{decoded, mean_difference};
-use skycell_tests::server::{binary, total_of};
+use skycell_tests::server::{binary, target_dir, total_of};
 use skycell_tests::{Server, ServerOptions, Viewer};
 
 type Outcome = anyhow::Result<()>;
@@ -237,4 +242,44 @@ async fn the_client_fetches_replaces_and_resets_maps() -> Outcome {
     let (good, said) = skycell(&server, &["get", "type", &path("type.tiff")]).await?;
     ensure!(!good && said.contains(".png or .exr"), "{said}");
     Ok(())
+}
+
+#[test]
+fn maps_have_a_blend_for_as_long_as_they_are_on_their_way() {
+    let scene = |seed: u32| {
+        let document = json!({"version": 1, "layers": [{"density": {"model": "weather", "seed": seed,
+            "maps": {"transition_s": if seed == 1 { 0 } else { 10 }}}}]});
+        Arc::new(Scene::from_json(&document).expect("a valid document"))
+    };
+    let noise = target_dir().expect("a folder").join("noise-of-tests");
+    let mut still = StillRenderer::new(RenderConfig::new(noise), scene(1), &[]).expect("a device");
+    let look = |still: &mut StillRenderer| {
+        let settings = StillSettings {
+            samples: 1,
+            march: MarchSettings {
+                steps: 16,
+                ..MarchSettings::default()
+            },
+            ..StillSettings::default()
+        };
+        let camera = Camera::new([0.0, 2.0, 0.0], 0.0, 30.0, 60.0).expect("a camera");
+        let size = FrameSize::new(32, 16).expect("a size");
+        still
+            .render_with(camera, size, &settings, |_| {})
+            .expect("a picture");
+        still.inventory()
+    };
+    let at_rest = look(&mut still);
+    assert!(!at_rest.pipelines.contains_key("blend_maps"), "{at_rest:?}");
+    still.set_scene(scene(2)).expect("pipelines");
+    still.advance_time(5.0);
+    let on_the_way = look(&mut still);
+    assert_eq!(on_the_way.pipelines.get("blend_maps"), Some(&1));
+    still.advance_time(6.0);
+    let arrived = look(&mut still);
+    for label in ["old maps", "new maps", "mixed maps"] {
+        assert!(!at_rest.has(label), "{at_rest:?}");
+        assert!(on_the_way.has(label), "{on_the_way:?}");
+        assert!(!arrived.has(label), "{arrived:?}");
+    }
 }
