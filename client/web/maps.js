@@ -112,7 +112,7 @@ export function attachMaps({ panel, zones, told, seconds, opener }) {
     download.textContent = "download";
     const reset = document.createElement("button");
     reset.type = "button";
-    reset.textContent = "generated";
+    reset.textContent = "back to generated";
     reset.addEventListener("click", () => void change(kind, layer, null));
     const foot = document.createElement("p");
     foot.append(download, reset);
