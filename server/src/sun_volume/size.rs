@@ -30,8 +30,8 @@ pub struct SunVolumeSize {
 }
 
 impl Default for SunVolumeSize {
-    /// Tuned: `skycell-server measure trade --only sun-volume`. A third level, of columns 200 m apart, errs more than the
-    /// cone of six steps that serves beyond the second.
+    /// Tuned: `skycell-server render --sun-depth volume --sun-volume JSON` of the default scene. A third level, of columns 200 m apart,
+    /// errs more than the cone of six steps that serves beyond the second.
     fn default() -> Self {
         Self {
             columns: 256,
