@@ -105,12 +105,25 @@ fn a_cached_picture_has_no_marched_pixels_and_the_other_way_round() {
 #[test]
 fn a_layer_that_is_filled_reads_neither_maps_nor_noise() {
     let document = json!({"version": 1, "layers": [{"density": {"model": "homogeneous"}}]});
-    let (_, reads) = rendered(&document, RendererKind::Cached);
+    let (inventory, reads) = rendered(&document, RendererKind::Cached);
+    // Texels that stand where bind groups want something.
+    for label in ["maps", "profile", "shape", "detail"] {
+        let stats = inventory.resources[label];
+        assert!(stats.bytes <= 4096, "{label}: {stats:?}");
+    }
+    assert!(!inventory.has("blend maps"), "{inventory:?}");
     let march = &reads["march_texels"];
     for name in ["field_maps", "field_shape", "field_detail", "field_grids"] {
         assert!(!march.contains(name), "{march:?}");
     }
-    let (_, reads) = rendered(&json!({"version": 1}), RendererKind::Cached);
+    let (inventory, reads) = rendered(&json!({"version": 1}), RendererKind::Cached);
+    // One layer of maps for one layer of clouds.
+    let maps = inventory.resources["maps"].bytes;
+    assert!((1 << 22..2 << 22).contains(&maps), "{maps}");
+    assert!(
+        inventory.resources["shape"].bytes >= 1 << 22,
+        "{inventory:?}"
+    );
     let march = &reads["march_texels"];
     assert!(
         march.contains("field_maps") && !march.contains("field_grids"),

@@ -2,12 +2,15 @@
 //! one that says nothing is refused in words.
 
 use serde_json::{Value, json};
+use skycell_protocol::message::Hello;
 use skycell_protocol::show::{DISTANCE_HIGH_M, DISTANCE_LOW_M};
-use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, Show};
+use skycell_protocol::{Camera, Codec, FrameSize, RendererKind, Scene, Show};
 use skycell_server::config::RenderConfig;
 use skycell_server::frame_loop::{StillPicture, StillRenderer, StillSettings};
 use skycell_server::march::MarchSettings;
+use skycell_tests::picture::decoded;
 use skycell_tests::server::target_dir;
+use skycell_tests::{Server, Viewer};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -264,4 +267,41 @@ fn exposure_that_follows_the_sky_shows_a_dim_sun_and_a_bright_one_alike_within_i
         bounded < dim - 20.0,
         "{bounded} although only one stop is allowed"
     );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_viewer_is_shown_what_it_asks_for_and_told_where_that_says_nothing() -> anyhow::Result<()>
+{
+    let server = Server::start_calm().await?;
+    let camera = Camera::new([0.0, 2.0, 0.0], 0.0, 25.0, 60.0)?;
+    let size = FrameSize::new(64, 36)?;
+    let asks = |show, renderer| Hello {
+        show,
+        renderer,
+        codec: Codec::Png,
+        ..Hello::new(size, 30.0, camera)
+    };
+    // The light end of the scale, which no sky has: clear sky lets everything through.
+    let is_shown = |seen: &skycell_tests::Seen| {
+        let picture = seen.frame.as_ref().and_then(|frame| decoded(frame).ok());
+        picture.is_some_and(|picture| {
+            let mut pixels = picture.pixels();
+            pixels.any(|pixel| pixel.0[0] > 220 && pixel.0[1] > 200 && pixel.0[2] < 90)
+        })
+    };
+    let viewer = Viewer::join_as(&server, asks(Show::Transmittance, RendererKind::Cached)).await?;
+    viewer.wait_for("its view", is_shown).await?;
+    viewer.close().await;
+
+    let viewer = Viewer::join_as(&server, asks(Show::CacheMip, RendererKind::ScreenSpace)).await?;
+    let told = |seen: &skycell_tests::Seen| {
+        let note = seen
+            .status
+            .as_ref()
+            .and_then(|status| status.show_note.as_ref());
+        note.is_some_and(|note| note.contains("rays of its own"))
+    };
+    viewer.wait_for("a note", told).await?;
+    viewer.close().await;
+    Ok(())
 }

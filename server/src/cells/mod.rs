@@ -15,6 +15,9 @@ pub const FORMED_RADIUS_M: f64 = 3_000.0;
 const HYSTERESIS: f64 = 1.1;
 /// A formed cell follows its first viewer when it has moved this far; aged tiles are then marched from the new point.
 const FOLLOW_M: f64 = 300.0;
+/// The same upwards and downwards. A cloud's side is seen from another height at once: 150 m up cost as much as 1 km
+/// sideways (mean difference of a picture 4 to 7 steps of 8 bits instead of 1, 96×56, 800 to 1400 m under a base of 1500 m).
+const FOLLOW_UP_M: f64 = 30.0;
 
 /// One cell.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,8 +94,10 @@ impl Cells {
         {
             // Alone or first in a formed cell, a viewer takes the cell along.
             let leads = !cell.placed && cell.members.first() == Some(&viewer);
-            let away_m = cell.reference_m.distance(position_m);
-            if leads && away_m > FOLLOW_M && (cell.members.len() == 1 || away_m <= cell.radius_m) {
+            let away = position_m - cell.reference_m;
+            let away_m = away.length();
+            let is_due = away.with_y(0.0).length() > FOLLOW_M || away.y.abs() > FOLLOW_UP_M;
+            if leads && is_due && (cell.members.len() == 1 || away_m <= cell.radius_m) {
                 cell.reference_m = position_m;
             }
             let holds = cell.reference_m.distance(position_m) <= cell.radius_m * HYSTERESIS;
@@ -218,5 +223,19 @@ mod tests {
         cells.assign(ViewerId(1), at(0.0));
         cells.remove(ViewerId(1));
         assert_eq!(cells.iter().count(), 1);
+    }
+
+    #[test]
+    fn a_formed_cell_follows_its_viewer_upwards_in_small_steps() {
+        let mut cells = Cells::new(&[]);
+        let up = |y: f64| DVec3::new(0.0, y, 0.0);
+        let id = cells.assign(ViewerId(1), up(2.0));
+        for (y, reference_y) in [(20.0, 2.0), (40.0, 40.0), (60.0, 40.0), (1400.0, 1400.0)] {
+            assert_eq!(cells.assign(ViewerId(1), up(y)), id);
+            assert_eq!(
+                cells.get(id).map(|cell| cell.reference_m.y),
+                Some(reference_y)
+            );
+        }
     }
 }

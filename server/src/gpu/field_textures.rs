@@ -23,10 +23,12 @@ pub struct FieldTextures {
     held_grids: Vec<GridDensity>,
     grids: wgpu::Texture,
     maps: MapTextures,
+    /// The noise volumes are on the device: some layer has weather.
+    has_noise: bool,
     store: FieldStore,
 }
 
-/// What stays for as long as the device does.
+/// Noise and samplers.
 #[derive(Debug)]
 struct FixedTextures {
     shape: wgpu::TextureView,
@@ -98,6 +100,30 @@ fn grids_texture(gpu: &Gpu, grids: &[VoxelGrid]) -> wgpu::Texture {
     texture
 }
 
+/// Shape and detail noise; without a store, texels that stand where bind groups want something.
+fn noise(gpu: &Gpu, store: Option<&FieldStore>) -> [wgpu::TextureView; 2] {
+    [VolumeKind::Shape, VolumeKind::Detail].map(|kind| {
+        let volume = store.map(|store| store.volume(kind, VOLUME_SEED));
+        let edge = volume.as_ref().map_or(1, |volume| volume.size);
+        let extent = wgpu::Extent3d {
+            width: edge,
+            height: edge,
+            depth_or_array_layers: edge,
+        };
+        let texture = texture(
+            gpu,
+            kind.name(),
+            extent,
+            wgpu::TextureDimension::D3,
+            wgpu::TextureFormat::Rg8Unorm,
+        );
+        if let Some(volume) = volume {
+            upload(gpu, &texture, 0, extent, &volume.texels, 2);
+        }
+        view(&texture)
+    })
+}
+
 fn view(texture: &wgpu::Texture) -> wgpu::TextureView {
     texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
@@ -106,25 +132,11 @@ impl FieldTextures {
     /// Makes or loads the noise and uploads it. Takes seconds when nothing is kept on disk yet.
     #[must_use]
     pub fn new(gpu: &Gpu, layout: &wgpu::BindGroupLayout, store: FieldStore) -> Self {
-        let volume = |kind: VolumeKind| {
-            let noise = store.volume(kind, VOLUME_SEED);
-            let extent = wgpu::Extent3d {
-                width: noise.size,
-                height: noise.size,
-                depth_or_array_layers: noise.size,
-            };
-            let texture = texture(
-                gpu,
-                kind.name(),
-                extent,
-                wgpu::TextureDimension::D3,
-                wgpu::TextureFormat::Rg8Unorm,
-            );
-            upload(gpu, &texture, 0, extent, &noise.texels, 2);
-            texture
-        };
-        let shape = volume(VolumeKind::Shape);
-        let detail = volume(VolumeKind::Detail);
+        // Made now if it is not kept on disk yet: nobody is to wait for it when a scene first asks for it.
+        for kind in [VolumeKind::Shape, VolumeKind::Detail] {
+            drop(store.volume(kind, VOLUME_SEED));
+        }
+        let [shape, detail] = noise(gpu, None);
         let sampler = |mode: wgpu::AddressMode| {
             gpu.device.create_sampler(&wgpu::SamplerDescriptor {
                 label: Some("field"),
@@ -137,8 +149,8 @@ impl FieldTextures {
             })
         };
         let fixed = FixedTextures {
-            shape: view(&shape),
-            detail: view(&detail),
+            shape,
+            detail,
             repeat: sampler(wgpu::AddressMode::Repeat),
             clamp: sampler(wgpu::AddressMode::ClampToEdge),
         };
@@ -149,6 +161,7 @@ impl FieldTextures {
             held_grids: Vec::new(),
             grids,
             maps,
+            has_noise: false,
             store,
         }
     }
@@ -207,8 +220,15 @@ impl FieldTextures {
         sheets: &[PlacedSheet],
         folder: &Path,
     ) -> MapsChange {
-        let mut change = self.maps.set(gpu, &self.store, folder, wanted);
+        let mut change = self.maps.set(gpu, &self.store, folder, wanted, sheets);
         change.content |= self.maps.set_sheets(gpu, &self.store, sheets, change);
+        let needs_noise = !wanted.is_empty();
+        if needs_noise != self.has_noise {
+            let store = needs_noise.then_some(&self.store);
+            [self.fixed.shape, self.fixed.detail] = noise(gpu, store);
+            self.has_noise = needs_noise;
+            change.textures = true;
+        }
         if change.textures {
             self.bind_group = self.fixed.bind_group(gpu, layout, &self.maps, &self.grids);
         }

@@ -112,12 +112,18 @@ pub(super) struct MapTextures {
     maps: wgpu::Texture,
     profile: wgpu::Texture,
     format: MapFormat,
+    /// Layers of both textures: up to the last place that is wanted.
+    layers: u32,
     held: [Option<Held>; PLACES],
     /// Seeds of the sheets whose maps stand in the places.
     sheets: [Option<u32>; PLACES],
 }
 
+/// Of no layers, a texel that stands where bind groups want something.
 fn maps_extent(layers: u32) -> wgpu::Extent3d {
+    if layers == 0 {
+        return wgpu::Extent3d::default();
+    }
     wgpu::Extent3d {
         width: MAP_SIZE,
         height: MAP_SIZE,
@@ -126,6 +132,9 @@ fn maps_extent(layers: u32) -> wgpu::Extent3d {
 }
 
 fn profile_extent(layers: u32) -> wgpu::Extent3d {
+    if layers == 0 {
+        return wgpu::Extent3d::default();
+    }
     wgpu::Extent3d {
         width: PROFILE_SIZE[0],
         height: PROFILE_SIZE[1],
@@ -170,11 +179,12 @@ fn packed(maps: &LayerMaps, skips: &[u8], format: MapFormat) -> Vec<u8> {
 
 impl MapTextures {
     pub(super) fn new(gpu: &Gpu) -> Self {
-        let (maps, profile) = textures(gpu, MapFormat::Bytes);
+        let (maps, profile) = textures(gpu, MapFormat::Bytes, 0);
         Self {
             maps,
             profile,
             format: MapFormat::Bytes,
+            layers: 0,
             held: Default::default(),
             sheets: [None; PLACES],
         }
@@ -198,6 +208,7 @@ impl MapTextures {
         store: &FieldStore,
         folder: &Path,
         wanted: &[PlacedWeather<'_>],
+        sheets: &[PlacedSheet],
     ) -> MapsChange {
         let mut change = MapsChange::default();
         let mut stale = [false; PLACES];
@@ -232,9 +243,12 @@ impl MapTextures {
             })
             .flatten()
             .fold(MapFormat::Bytes, MapFormat::with_digits_of);
-        if format != self.format {
-            (self.maps, self.profile) = textures(gpu, format);
-            self.format = format;
+        let places = wanted.iter().map(|asked| asked.place);
+        let places = places.chain(sheets.iter().map(|sheet| sheet.place));
+        let layers = places.max().map_or(0, |last| last + 1).min(PLACES as u32);
+        if format != self.format || layers != self.layers {
+            (self.maps, self.profile) = textures(gpu, format, layers);
+            (self.format, self.layers) = (format, layers);
             stale = [true; PLACES];
             change.textures = true;
             for blend in self
@@ -493,7 +507,7 @@ fn load(store: &FieldStore, weather: &WeatherDensity, folder: &Path) -> LayerMap
     })
 }
 
-fn textures(gpu: &Gpu, format: MapFormat) -> (wgpu::Texture, wgpu::Texture) {
+fn textures(gpu: &Gpu, format: MapFormat, layers: u32) -> (wgpu::Texture, wgpu::Texture) {
     let (maps, profile) = match format {
         MapFormat::Bytes => (
             wgpu::TextureFormat::Rgba8Unorm,
@@ -504,7 +518,6 @@ fn textures(gpu: &Gpu, format: MapFormat) -> (wgpu::Texture, wgpu::Texture) {
             wgpu::TextureFormat::R16Float,
         ),
     };
-    let layers = PLACES as u32;
     let flat = wgpu::TextureDimension::D2;
     (
         texture(gpu, "maps", maps_extent(layers), flat, maps),
