@@ -172,7 +172,10 @@ fn sun_optical_depth(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
 /// The way from a point of a sheet towards the sun inside it, m.
 fn sheet_sun_length_m(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
     let way = layer_intervals(ray.planet_radius_m, false, layer.base_altitude_m, layer.top_altitude_m, position, ray.sun_direction);
-    return min(max(way.first_end_m - way.first_start_m, 0.0), ray.sun_march_distance_m);
+    // Going up, a ray has the base behind it and the second part alone.
+    let first_m = way.first_end_m - way.first_start_m;
+    let second_m = way.second_end_m - way.second_start_m;
+    return min(max(select(second_m, first_m, first_m > 0.0), 0.0), ray.sun_march_distance_m);
 }
 #else
 /// Optical depth from a point towards the sun. By the cone: within the point's layer, by sun_steps samples in the middles
