@@ -47,7 +47,7 @@ pub enum Kernel {
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::MarchTexels,
         Self::MarchPixels,
         Self::ResolveWindow,
