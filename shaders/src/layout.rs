@@ -548,3 +548,63 @@ gpu_struct! {
         pad_direction: f32,
     }
 }
+
+gpu_struct! {
+    /// One frame of a temporal window.
+    WindowSlice {
+        /// Eye, m.
+        position: [f32; 3],
+        /// Share of a step by which all samples are moved.
+        segment: f32,
+        /// Unit vector through the middle of the picture.
+        forward: [f32; 3],
+        /// 1: the camera is the shown one's.
+        is_same_view: u32,
+        /// Half the picture's width at distance 1, over its square.
+        across: [f32; 3],
+        /// 0: nothing that can be shown.
+        weight: f32,
+        /// Half the picture's height at distance 1, over its square.
+        upward: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_upward: f32,
+        /// Which of a marched pixel's picture pixels has the sample.
+        pixel: [f32; 2],
+        /// Where in it, 0…1.
+        within: [f32; 2],
+        /// Movement of the clouds since, m: x and z of two layers each.
+        drift: [[f32; 4]; 2],
+    }
+}
+
+gpu_struct! {
+    /// The sliding window of one viewer.
+    Window {
+        /// Its frames.
+        slices: [WindowSlice; 16],
+        /// Slices in the ring.
+        frames: u32,
+        /// The slice that is marched, or the newest one.
+        newest: u32,
+        /// Picture pixels along a marched pixel.
+        divisor: u32,
+        /// 1: gaps are filled from the marched pixels around them.
+        fills_gaps: u32,
+        /// 1 / (2 σ²) of a sample's weight by its distance in picture pixels.
+        sharpness: f32,
+        /// How many steps of the whole march one step of a frame is long.
+        step_scale: f32,
+        /// Into how many parts such a step is cut where cloud begins.
+        refinement: f32,
+        /// Share of a picture pixel over which its samples are spread.
+        spread: f32,
+        /// Which of a marched pixel's picture pixels the newest slice has samples of.
+        newest_pixel: [f32; 2],
+        /// How many slices have samples of one and the same picture pixel.
+        slices_per_pixel: u32,
+        /// Fills to 16 bytes.
+        pad_end: u32,
+        /// Slices by the picture pixel that they have samples of.
+        order: [[u32; 4]; 4],
+    }
+}

@@ -23,6 +23,8 @@ pub enum Kernel {
     MarchTexels,
     /// One ray per pixel of a viewer: the screen-space renderer.
     MarchPixels,
+    /// The temporal window's slices summed up for the shown camera.
+    ResolveWindow,
     /// Texels marched once more, beside what the cache holds of them.
     AuditTexels,
     /// Columns of the sun volume.
@@ -45,9 +47,10 @@ pub enum Kernel {
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::MarchTexels,
         Self::MarchPixels,
+        Self::ResolveWindow,
         Self::AuditTexels,
         Self::SunColumns,
         Self::Composite,
@@ -65,6 +68,7 @@ impl Kernel {
         match self {
             Self::MarchTexels => "march_texels",
             Self::MarchPixels => "march_pixels",
+            Self::ResolveWindow => "resolve_window",
             Self::AuditTexels => "audit_texels",
             Self::SunColumns => "sun_columns",
             Self::Composite => "composite",
@@ -86,6 +90,10 @@ impl Kernel {
             Self::MarchPixels => (
                 "march/pixels.wgsl",
                 include_str!("../wgsl/march/pixels.wgsl"),
+            ),
+            Self::ResolveWindow => (
+                "march/resolve.wgsl",
+                include_str!("../wgsl/march/resolve.wgsl"),
             ),
             Self::AuditTexels => ("march/audit.wgsl", include_str!("../wgsl/march/audit.wgsl")),
             Self::SunColumns => (
@@ -165,8 +173,12 @@ pub struct Features {
     pub count_reads: bool,
     /// Rays come from a list instead of a pinhole camera (screen-space renderer).
     pub ray_list: bool,
-    /// Marched pixels are fewer than the picture's (screen-space renderer).
-    pub upsample: bool,
+    /// Rays fill a frame of a temporal window (screen-space renderer).
+    pub window: bool,
+    /// Frames of the window that is summed up, 1 to 16.
+    pub window_frames: u32,
+    /// All frames of the window are from the shown camera.
+    pub window_at_rest: bool,
     /// Layers scatter light each in its own way; else all as the first (composite).
     pub own_phases: bool,
     /// Layers share altitudes: what is seen nearer hides the other, not what lies lower (composite).
@@ -199,7 +211,9 @@ impl Default for Features {
             exact_interpolation: false,
             count_reads: false,
             ray_list: false,
-            upsample: false,
+            window: false,
+            window_frames: 1,
+            window_at_rest: false,
             own_phases: false,
             overlap: false,
             sun_layers: 0,
@@ -234,7 +248,9 @@ impl Features {
                 count_reads: bits & 2 != 0,
                 screen_space: bits & 4 != 0,
                 ray_list: bits & 12 == 4,
-                upsample: bits & 12 == 12,
+                window: bits & 12 == 12,
+                window_frames: bits + 1,
+                window_at_rest: bits & 8 != 0,
                 own_phases: bits & 8 != 0,
                 overlap: bits & 2 != 0,
                 sun_layers: if bits & 2 == 0 { 0 } else { count },
@@ -262,6 +278,10 @@ impl Features {
                 "LAYERS".to_owned(),
                 ShaderDefValue::UInt(self.layers.min(4)),
             ),
+            (
+                "WINDOW_FRAMES".to_owned(),
+                ShaderDefValue::UInt(self.window_frames.clamp(1, 16)),
+            ),
         ]);
         for (name, set) in [
             ("DENSITY_WEATHER", self.density == Density::Weather),
@@ -277,7 +297,8 @@ impl Features {
             ("EXACT_INTERPOLATION", self.exact_interpolation),
             ("COUNT_READS", self.count_reads),
             ("RAY_LIST", self.ray_list),
-            ("UPSAMPLE", self.upsample),
+            ("WINDOW", self.window),
+            ("WINDOW_AT_REST", self.window_at_rest),
             ("OWN_PHASES", self.own_phases),
             ("LAYERS_OVERLAP", self.overlap),
             ("SUN_VOLUME", self.sun_layers > 0),
@@ -336,6 +357,10 @@ const MODULES: &[(&str, &str)] = &[
     (
         "march/accumulate.wgsl",
         include_str!("../wgsl/march/accumulate.wgsl"),
+    ),
+    (
+        "march/temporal.wgsl",
+        include_str!("../wgsl/march/temporal.wgsl"),
     ),
     (
         "march/texel_ray.wgsl",

@@ -117,4 +117,6 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::View>(Kernel::Composite);
     check::<layout::Air>(Kernel::MakeAirView);
     check::<layout::ListedRay>(Kernel::MarchPixels);
+    check::<layout::WindowSlice>(Kernel::ResolveWindow);
+    check::<layout::Window>(Kernel::ResolveWindow);
 }

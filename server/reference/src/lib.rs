@@ -26,6 +26,7 @@ pub mod shell;
 pub mod sky;
 mod texture;
 pub mod transport;
+pub mod window;
 mod world;
 
 pub use error::ReferenceError;

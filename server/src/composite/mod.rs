@@ -107,7 +107,6 @@ pub fn ground_key(key: PipelineKey) -> PipelineKey {
             own_phases: false,
             overlap: false,
             catmull_rom: false,
-            upsample: false,
             moon: false,
             stars: false,
             ..key.features
@@ -123,7 +122,8 @@ const GROUP_ROWS: u32 = 16;
 
 /// The first row, a multiple of [`GROUP_ROWS`], from which on every pixel shows the ground: no cloud needs to be looked
 /// up there. A ray meets the ground where it points further down than the horizon's dip.
-fn first_ground_row(view: &layout::View, planet_radius_m: f64) -> u32 {
+#[must_use]
+pub fn first_ground_row(view: &layout::View, planet_radius_m: f64) -> u32 {
     let [forward, right, up] =
         [view.forward, view.right, view.up].map(|v| glam::Vec3::from_array(v).as_dvec3());
     let altitude_m = f64::from(view.altitude_m);

@@ -5,6 +5,7 @@ use super::interface::{
     render_command_channel,
 };
 use super::renderer::SkyRenderer;
+use super::screen_space::WindowChoice;
 use crate::clock;
 use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{BlendStep, Gpu, GpuError, TimedPass};
@@ -120,6 +121,7 @@ impl FrameLoop {
     ) -> Result<(FrameLoopHandle, JoinHandle<()>), GpuError> {
         let gpu = Gpu::open_blocking()?;
         let mut renderer = SkyRenderer::new(gpu, config, scene.clone(), revision, cells)?;
+        renderer.window_choice = WindowChoice::ByQuality;
         renderer.let_qualities_be_chosen()?;
         renderer.let_time_pass(scene, revision)?;
         renderer.warm_up()?;

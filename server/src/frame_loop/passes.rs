@@ -19,7 +19,11 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 /// Radius of the ground, where there is one and no cloud can stand in front of it.
-fn ground_radius_m(scene: &Scene, active: &[ActiveLayer], view: &layout::View) -> Option<f64> {
+pub(super) fn ground_radius_m(
+    scene: &Scene,
+    active: &[ActiveLayer],
+    view: &layout::View,
+) -> Option<f64> {
     let is_below = |layer: &ActiveLayer| {
         f64::from(view.altitude_m) < scene.layers()[layer.scene_index].base_altitude_m()
     };

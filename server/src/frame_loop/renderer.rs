@@ -5,6 +5,7 @@ use super::auditing::Audit;
 use super::cells_on_device::ActiveCell;
 use super::interface::{RenderStats, ViewRequest};
 use super::qualities::Qualities;
+use super::screen_space::WindowChoice;
 use super::sky_steps::steps_between;
 use super::sky_time::SkyTime;
 use super::sun_volumes::{SunVolumes, asks_for_volume};
@@ -21,9 +22,10 @@ use crate::gpu::{
     blend_key,
 };
 use crate::march::{
-    ActiveLayer, Atlas, LayerBlend, MarchSettings, SkyLight, TexelMarch, active_layers, audit_key,
-    drift_m_per_s, layer_features, pixels_key, placed_sheets, placed_weather, sky_light,
-    sun_angular_radius_rad, sun_columns_key, texels_key,
+    ActiveLayer, Atlas, LayerBlend, MarchSettings, SkyLight, TexelMarch, WINDOW_FRAMES_MAX,
+    active_layers, audit_key, drift_m_per_s, layer_features, pixels_key, placed_sheets,
+    placed_weather, possible_frames, resolve_key, sky_light, sun_angular_radius_rad,
+    sun_columns_key, texels_key, window_key,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, RendererKind, Scene, ViewerId};
@@ -73,8 +75,8 @@ pub(super) struct SkyRenderer {
     pub(super) mip_bias: f64,
     /// How rays are marched, but for what a quality sets.
     pub(super) settings: MarchSettings,
-    /// Halvings of the screen-space renderer's resolution as a divisor: 1, 2 or 4.
-    pub(super) resolution_divisor: u32,
+    /// How screen-space pictures come about.
+    pub(super) window_choice: WindowChoice,
     /// The scene of the moment.
     pub(super) scene: Arc<Scene>,
     pub(super) scene_revision: u64,
@@ -144,7 +146,7 @@ impl SkyRenderer {
                 ..MarchSettings::default()
             },
             qualities,
-            resolution_divisor: 1,
+            window_choice: WindowChoice::Fixed(None),
             gpu,
             pipelines,
             field,
@@ -226,10 +228,8 @@ impl SkyRenderer {
         for (id, view) in views {
             self.choose_renderer(id, &view);
             self.refresh_quality(id);
-            if let Some(viewer) = self.viewers.get_mut(&id) {
-                viewer.screen_space = None;
-            }
         }
+        self.scene_changed_for_screen_space(!moved);
         self.touch_all_requests();
         self.prepare_views();
         self.prepare_meters()?;
@@ -241,7 +241,15 @@ impl SkyRenderer {
     pub(super) fn prepare_pipelines(&mut self, scene: &Scene) -> Result<(), GpuError> {
         let active = active_layers(scene);
         let blend = LayerBlend::of(scene, &active);
-        let mut keys = Vec::new();
+        let most_frames = match self.window_choice {
+            WindowChoice::Fixed(plan) => plan.map(|plan| plan.bounded().frames),
+            WindowChoice::ByQuality => Some(WINDOW_FRAMES_MAX),
+        };
+        let mut keys: Vec<PipelineKey> = most_frames
+            .into_iter()
+            .flat_map(possible_frames)
+            .flat_map(|frames| [resolve_key(frames, false), resolve_key(frames, true)])
+            .collect();
         for filter in FrameFilter::ALL {
             for screen_space in [false, true] {
                 let key = frame_key(&self.gpu, scene, filter, blend, screen_space);
@@ -259,11 +267,13 @@ impl SkyRenderer {
                     ..cone
                 });
                 for features in [Some(cone), volume].into_iter().flatten() {
-                    keys.extend([
-                        texels_key(features),
-                        pixels_key(features, false),
-                        audit_key(features),
-                    ]);
+                    keys.extend([texels_key(features), audit_key(features)]);
+                    keys.push(match self.window_choice {
+                        WindowChoice::Fixed(None) => pixels_key(features, false),
+                        WindowChoice::Fixed(Some(_)) | WindowChoice::ByQuality => {
+                            window_key(features)
+                        }
+                    });
                 }
                 keys.extend(volume.map(sun_columns_key));
             }

@@ -1,32 +1,50 @@
-//! The screen-space renderer's work for one viewer: samples of layers in strips of rows, so that the device can serve
-//! others in between.
+//! The screen-space renderer's work for one viewer: frames of a temporal window, or samples of a single picture, in strips
+//! of rows, so that the device can serve others in between.
 
+use super::passes::ground_radius_m;
 use super::renderer::SkyRenderer;
+use super::viewers_on_device::ActiveViewer;
+use crate::composite::first_ground_row;
 use crate::gpu::TimedPass;
-use crate::march::{MarchedPixels, layer_features};
-use skycell_protocol::{FrameSize, RendererKind, ViewerId};
+use crate::march::{
+    CellFrame, MarchedPixels, TemporalWindow, WindowPlan, WindowRing, WindowStrip, fitting_window,
+    layer_features,
+};
+use glam::DVec3;
+use skycell_protocol::{CellId, RendererKind, ViewerId};
 use skycell_shaders::layout;
+
+/// How screen-space pictures come about.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum WindowChoice {
+    /// As a viewer's quality sets it.
+    ByQuality,
+    /// By a window, or by samples that add up to a picture.
+    Fixed(Option<WindowPlan>),
+}
+
+/// A viewer's frames over the last moments.
+#[derive(Debug)]
+struct JobWindow {
+    window: TemporalWindow,
+    ring: WindowRing,
+    /// Place that the slices' cameras are told in.
+    cell: CellId,
+    frame: CellFrame,
+}
 
 /// A picture that is being marched.
 #[derive(Debug)]
 pub(super) struct ScreenSpaceJob {
     marched: MarchedPixels,
-    /// The view when the job began: a camera that moves on is shown by the next job.
+    /// The view that is shown, and that of what is under way: a camera that moves on is shown by the next frame.
     view: layout::View,
+    next_view: layout::View,
+    window: Option<JobWindow>,
+    /// Whole samples, or frames, since the view or the scene changed.
     sample: u32,
     layer: u32,
     row: u32,
-}
-
-/// A picture's size divided, rounded up.
-fn reduced(size: FrameSize, divisor: u32) -> FrameSize {
-    let divisor = divisor.max(1);
-    // Not larger than what was a size before.
-    FrameSize::new(
-        size.width().div_ceil(divisor),
-        size.height().div_ceil(divisor),
-    )
-    .unwrap_or(size)
 }
 
 /// Rows of the first strip, before any was measured.
@@ -35,14 +53,11 @@ const FIRST_ROWS: u32 = 16;
 impl ScreenSpaceJob {
     /// A picture of which nothing is marched yet. `view` is that of the picture; rays are as many as its pixels.
     pub(super) fn new(marched: MarchedPixels, view: layout::View) -> Self {
-        let size = marched.size();
         Self {
-            view: layout::View {
-                marched_width: size.width(),
-                marched_height: size.height(),
-                ..view
-            },
             marched,
+            view,
+            next_view: view,
+            window: None,
             sample: 0,
             layer: 0,
             row: 0,
@@ -56,6 +71,21 @@ impl ScreenSpaceJob {
     pub(super) fn view(&self) -> layout::View {
         self.view
     }
+
+    /// Samples or frames after which nothing is left to do for a view at rest.
+    fn samples_wanted(&self, samples: u32) -> u32 {
+        self.window
+            .as_ref()
+            .map_or(samples, |own| own.window.plan().frames)
+    }
+
+    /// What the next frame shows. What is under way is given up.
+    fn look(&mut self, view: layout::View) {
+        self.next_view = view;
+        self.sample = 0;
+        self.layer = 0;
+        self.row = 0;
+    }
 }
 
 impl SkyRenderer {
@@ -63,10 +93,9 @@ impl SkyRenderer {
     pub(super) fn screen_space_pending(&self, id: ViewerId) -> bool {
         self.viewers.get(&id).is_some_and(|viewer| {
             viewer.kind == RendererKind::ScreenSpace
-                && viewer
-                    .screen_space
-                    .as_ref()
-                    .is_none_or(|job| job.sample < viewer.quality.settings.samples)
+                && viewer.screen_space.as_ref().is_none_or(|job| {
+                    job.sample < job.samples_wanted(viewer.quality.settings.samples)
+                })
         })
     }
 
@@ -80,11 +109,73 @@ impl SkyRenderer {
         })
     }
 
-    /// Begins a viewer's picture anew, from where it looks now.
+    /// Begins a viewer's picture anew, from where it looks now. A window goes on and reprojects what it has.
     pub(super) fn restart_screen_space(&mut self, id: ViewerId) {
-        if let Some(viewer) = self.viewers.get_mut(&id) {
+        let Some(mut viewer) = self.viewers.remove(&id) else {
+            return;
+        };
+        let view = self.view_of(&viewer);
+        let place = self.place_of(&viewer);
+        let goes_on = match (&mut viewer.screen_space, view, place) {
+            (Some(job), Some(view), Some((cell, frame))) => match &job.window {
+                Some(own) if own.cell == cell && own.frame == frame => {
+                    job.look(view);
+                    true
+                }
+                _ => false,
+            },
+            _ => false,
+        };
+        if !goes_on {
             viewer.screen_space = None;
         }
+        self.viewers.insert(id, viewer);
+    }
+
+    /// The scene has changed, but neither the number of its layers nor the picture: windows slide on from the old to the
+    /// new one, other pictures begin anew.
+    pub(super) fn scene_changed_for_screen_space(&mut self, same_layers: bool) {
+        for viewer in self.viewers.values_mut() {
+            match &mut viewer.screen_space {
+                Some(job) if job.window.is_some() && same_layers => job.look(job.next_view),
+                job => *job = None,
+            }
+        }
+    }
+
+    fn place_of(&self, viewer: &ActiveViewer) -> Option<(CellId, CellFrame)> {
+        let cell = self.active_cells.get(&viewer.cell)?;
+        Some((viewer.cell, cell.frame))
+    }
+
+    /// The window of a viewer's pictures, if they have one.
+    fn window_plan(&self, viewer: &ActiveViewer) -> Option<WindowPlan> {
+        match self.window_choice {
+            WindowChoice::Fixed(plan) => plan,
+            WindowChoice::ByQuality => Some(viewer.quality.settings.window_plan()),
+        }
+    }
+
+    fn new_job(&self, viewer: &ActiveViewer) -> Option<ScreenSpaceJob> {
+        let view = self.view_of(viewer)?;
+        let (cell, frame) = self.place_of(viewer)?;
+        let (size, layers) = (viewer.view.size, self.active.len());
+        let marched = MarchedPixels::new(&self.gpu, &self.pipelines, size, layers, None);
+        let mut job = ScreenSpaceJob::new(marched, view);
+        if let Some(plan) = self.window_plan(viewer)
+            && layers > 0
+        {
+            let plan = fitting_window(&self.gpu, size, layers, plan);
+            let values = job.marched.values();
+            let ring = WindowRing::new(&self.gpu, &self.pipelines, size, layers, plan, values);
+            job.window = Some(JobWindow {
+                window: TemporalWindow::new(plan),
+                ring,
+                cell,
+                frame,
+            });
+        }
+        Some(job)
     }
 
     /// Marches rows of a viewer's picture for about `budget_ns`; true when a sample of the whole picture is complete.
@@ -93,21 +184,18 @@ impl SkyRenderer {
             return false;
         };
         let layers = self.active.len() as u32;
-        if viewer.screen_space.is_none()
-            && let Some(view) = self.view_of(&viewer)
-        {
-            let size = reduced(viewer.view.size, self.resolution_divisor);
-            let layers = self.active.len();
-            let marched = MarchedPixels::new(&self.gpu, &self.pipelines, size, layers, None);
-            viewer.screen_space = Some(ScreenSpaceJob::new(marched, view));
+        if viewer.screen_space.is_none() {
+            viewer.screen_space = self.new_job(&viewer);
         }
         let mut complete = false;
         let samples = viewer.quality.settings.samples;
         if let Some(job) = &mut viewer.screen_space {
+            let wanted = job.samples_wanted(samples);
             if layers == 0 {
-                job.sample = samples;
+                job.view = job.next_view;
+                job.sample = wanted;
                 complete = true;
-            } else if job.sample < samples {
+            } else if job.sample < wanted {
                 complete = self.march_strip(viewer.cell, job, budget_ns, layers);
             }
         }
@@ -115,43 +203,71 @@ impl SkyRenderer {
         complete
     }
 
+    /// The wind's drifts of the layers that are shown.
+    fn active_drifts(&self) -> Vec<DVec3> {
+        self.active
+            .iter()
+            .map(|layer| {
+                let drift = self.drifts.get(layer.scene_index);
+                drift.copied().unwrap_or_default()
+            })
+            .collect()
+    }
+
     fn march_strip(
         &mut self,
-        cell: skycell_protocol::CellId,
+        cell: CellId,
         job: &mut ScreenSpaceJob,
         budget_ns: u64,
         layers: u32,
     ) -> bool {
         let size = job.marched.size();
+        let [width, height] = job
+            .window
+            .as_ref()
+            .map_or([size.width(), size.height()], |own| own.ring.marched());
         let (ns, pixels) = self.gpu_time(TimedPass::ScreenSpace);
         let rows = match ns.checked_div(pixels) {
             Some(ns_per_pixel) if ns_per_pixel > 0 => {
-                (budget_ns / (ns_per_pixel * u64::from(size.width())).max(1)) as u32
+                (budget_ns / (ns_per_pixel * u64::from(width)).max(1)) as u32
             }
             _ => FIRST_ROWS,
         };
-        let left = size.height() - job.row;
+        let left = height - job.row;
         let rows = rows.next_multiple_of(8).clamp(8, left.max(8)).min(left);
         let scene_index = self.active[job.layer as usize].scene_index;
         let features = layer_features(&self.scene, scene_index, &self.cell_settings(cell));
-        let mut view = job.view;
-        view.width = size.width();
-        view.height = size.height();
+        let mut view = job.next_view;
         view.jitter = f32::from(u8::from(self.settings.jitter));
         view.first_row = job.row;
         view.layer = job.layer;
         view.sample_index = job.sample;
         view.sample_is_first = u32::from(job.sample == 0);
         view.sample_weight = 1.0 / (job.sample + 1) as f32;
-        if !self.submit_pixels(cell, &job.marched, features, &view, rows) {
+        let Some(on_device) = self.active_cells.get(&cell) else {
+            return false;
+        };
+        if let Some(own) = &mut job.window {
+            own.window.begin();
+            let window = own.window.marched();
+            let strip = WindowStrip {
+                cell: &on_device.buffers,
+                features: on_device.buffers.march_features(features),
+                view: &view,
+                window: &window,
+                rows,
+            };
+            own.ring
+                .submit_strip(&self.gpu, &mut self.timing, &self.pipelines, &strip);
+        } else if !self.submit_pixels(cell, &job.marched, features, &view, rows) {
             return false;
         }
         self.watch_submission();
         self.counters.submissions += 1;
         self.counters.dispatches += 1;
-        self.counters.screen_space_marches += u64::from(rows) * u64::from(size.width());
+        self.counters.screen_space_marches += u64::from(rows) * u64::from(width);
         job.row += rows;
-        if job.row < size.height() {
+        if job.row < height {
             return false;
         }
         job.row = 0;
@@ -161,6 +277,27 @@ impl SkyRenderer {
         }
         job.layer = 0;
         job.sample += 1;
+        job.view = job.next_view;
+        self.resolve(job);
         true
+    }
+
+    /// Sums the window up for the view that is shown.
+    fn resolve(&mut self, job: &mut ScreenSpaceJob) {
+        let drifts = self.active_drifts();
+        let Some(own) = &mut job.window else { return };
+        own.window.complete(&job.view, &drifts);
+        let window = own.window.shown(&job.view, &drifts);
+        // The composite looks up no clouds in the rows below.
+        let rows = ground_radius_m(&self.scene, &self.active, &job.view)
+            .map_or(job.view.height, |radius_m| {
+                first_ground_row(&job.view, radius_m)
+            });
+        let (gpu, pipelines) = (&self.gpu, &self.pipelines);
+        own.ring
+            .submit_resolve(gpu, &mut self.timing, pipelines, &job.view, &window, rows);
+        self.watch_submission();
+        self.counters.submissions += 1;
+        self.counters.dispatches += 1;
     }
 }

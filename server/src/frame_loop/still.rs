@@ -2,7 +2,7 @@
 
 use super::interface::{RenderTotals, ViewRequest};
 use super::renderer::SkyRenderer;
-use super::screen_space::ScreenSpaceJob;
+use super::screen_space::{ScreenSpaceJob, WindowChoice};
 use super::still_settings::{LayerFigures, RayFigures, RayPicture};
 use super::still_settings::{StillFigures, StillPicture, StillSettings};
 use crate::cells::Cells;
@@ -131,7 +131,10 @@ impl StillRenderer {
         }
         self.prepare_composites(screen_space, settings, false)?;
         self.renderer.refresh_cells();
-        self.march_all(screen_space, progress)?;
+        match settings.window {
+            Some(_) if screen_space => self.march_frames(camera, settings, progress)?,
+            _ => self.march_all(screen_space, progress)?,
+        }
         self.renderer.meter_now()?;
         let (display, linear) = self.composites(size, screen_space, settings)?;
         Ok(StillPicture {
@@ -154,7 +157,8 @@ impl StillRenderer {
     ) -> Result<RayFigures, GpuError> {
         let settings = &StillSettings {
             renderer: RendererKind::ScreenSpace,
-            resolution_divisor: 1,
+            window: None,
+            frames: 1,
             ..*settings
         };
         if list.rays.len() != list.size.pixels() as usize {
@@ -314,7 +318,6 @@ impl StillRenderer {
             PipelineKey {
                 features: Features {
                     ray_list,
-                    upsample: screen_space && settings.resolution_divisor > 1,
                     shown: if shown.is_inspection() {
                         Shown::Picture
                     } else {
@@ -346,6 +349,32 @@ impl StillRenderer {
             for key in renderer.shown_keys(shown, key) {
                 renderer.pipelines.prepare(&renderer.gpu, key)?;
             }
+        }
+        Ok(())
+    }
+
+    /// Frames of a window, from a camera that turns towards where the picture is taken.
+    fn march_frames(
+        &mut self,
+        camera: Camera,
+        settings: &StillSettings,
+        mut progress: impl FnMut(f64),
+    ) -> Result<(), GpuError> {
+        let frames = settings.frames.max(1);
+        for frame in 0..frames {
+            let left = f64::from((frames - frame).saturating_sub(settings.resting_frames.max(1)));
+            let turned = turned(&camera, -settings.turn_deg_per_frame * left)?;
+            let renderer = &mut self.renderer;
+            if let Some(viewer) = renderer.viewers.get_mut(&VIEWER) {
+                viewer.view.camera = turned;
+            }
+            renderer.refresh_cells();
+            renderer.restart_screen_space(VIEWER);
+            while !renderer.march_screen_space(VIEWER, STRIP_NS) {
+                renderer.gpu.wait()?;
+            }
+            renderer.gpu.wait()?;
+            progress(f64::from(frame + 1) / f64::from(frames));
         }
         Ok(())
     }
@@ -423,6 +452,20 @@ impl StillRenderer {
     }
 }
 
+/// A camera that has turned to the right.
+fn turned(camera: &Camera, by_deg: f64) -> Result<Camera, GpuError> {
+    if by_deg == 0.0 {
+        return Ok(*camera);
+    }
+    Camera::new(
+        camera.position_m(),
+        camera.yaw_deg() + by_deg,
+        camera.pitch_deg(),
+        camera.vertical_fov_deg(),
+    )
+    .map_err(|error| GpuError::Device(error.to_string()))
+}
+
 /// Where counters stood when a picture was begun.
 struct Start {
     at: Instant,
@@ -441,13 +484,13 @@ impl Start {
         renderer.sun.clear();
         renderer.caches.set_samples(settings.samples);
         renderer.mip_bias = f64::from(settings.mip_bias);
-        renderer.resolution_divisor = settings.resolution_divisor;
+        renderer.window_choice = WindowChoice::Fixed(settings.window);
         // Pipelines for other settings.
         let (scene, revision) = (renderer.scene.clone(), renderer.scene_revision + 1);
         renderer.set_scene(scene, revision)?;
         renderer.step_maps();
         let counter = &renderer.pipelines.read_counter;
-        renderer.gpu.queue.write_buffer(counter, 0, &[0; 8]);
+        renderer.gpu.queue.write_buffer(counter, 0, &[0; 16]);
         Ok(Self {
             at: Instant::now(),
             totals: still.totals(),
@@ -460,17 +503,19 @@ impl Start {
         let totals = still.totals();
         let marches = |t: &RenderTotals| t.texels_updated + t.screen_space_marches;
         let gpu_ns = still.gpu_times_ns().iter().sum::<u64>() - self.gpu_ns;
-        let texture_reads = if self.counts_reads {
+        let [texture_reads, density_evaluations] = if self.counts_reads {
             let renderer = &still.renderer;
             let bytes = read_buffer_blocking(&renderer.gpu, &renderer.pipelines.read_counter)?;
             let words: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
-            Some(u64::from(words[0]) | u64::from(words[1]) << 32)
+            let count = |at: usize| Some(u64::from(words[at]) | u64::from(words[at + 1]) << 32);
+            [count(0), count(2)]
         } else {
-            None
+            [None; 2]
         };
         Ok(StillFigures {
             marches: marches(&totals) - marches(&self.totals),
             texture_reads,
+            density_evaluations,
             sun_volume_evaluations: totals.sun_volume_evaluations
                 - self.totals.sun_volume_evaluations,
             gpu_ns: (gpu_ns > 0).then_some(gpu_ns),

@@ -1,7 +1,7 @@
 //! What a single picture or a list of rays is asked for with, and what comes back.
 
 use crate::config::FrameFilter;
-use crate::march::MarchSettings;
+use crate::march::{MarchSettings, WindowPlan};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use skycell_protocol::{FrameSize, RendererKind, Show};
@@ -18,8 +18,14 @@ pub struct StillSettings {
     pub march: MarchSettings,
     /// Samples of a texel or pixel, 1 to 16.
     pub samples: u32,
-    /// 1, 2 or 4: the screen-space renderer marches this many times fewer columns and rows.
-    pub resolution_divisor: u32,
+    /// The screen-space renderer spreads the picture over frames; without, it sums samples up.
+    pub window: Option<WindowPlan>,
+    /// Frames that a window has slid over when the picture is taken; at least one.
+    pub frames: u32,
+    /// How many of them, the last ones, are from the camera of the picture.
+    pub resting_frames: u32,
+    /// By how much the camera turns to the right from frame to frame, to end where the picture is taken.
+    pub turn_deg_per_frame: f64,
     /// Halvings of the cache's resolution below the screen's, 0 to 4.
     pub mip_bias: f32,
     /// How the cache is read.
@@ -37,7 +43,10 @@ impl Default for StillSettings {
             renderer: RendererKind::Cached,
             march: MarchSettings::default(),
             samples: 8,
-            resolution_divisor: 1,
+            window: None,
+            frames: 1,
+            resting_frames: 1,
+            turn_deg_per_frame: 0.0,
             mip_bias: 0.0,
             filter: FrameFilter::CatmullRom,
             reference_offset_m: [0.0; 3],
@@ -66,6 +75,8 @@ pub struct StillFigures {
     pub marches: u64,
     /// Texture reads of the march, where they were counted.
     pub texture_reads: Option<u64>,
+    /// Evaluations of a density in it, where they were counted.
+    pub density_evaluations: Option<u64>,
     /// Look-ups of density for columns of the sun volume.
     #[serde(default)]
     pub sun_volume_evaluations: u64,

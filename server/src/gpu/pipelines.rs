@@ -1,6 +1,7 @@
 //! Compute pipelines, made once per specialisation and never in a frame.
 
 use super::{Gpu, GpuError};
+use crate::march::blue_noise_words;
 use skycell_shaders::{Features, Kernel, SourceEdit, compose, compose_edited};
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
@@ -40,6 +41,8 @@ pub struct Pipelines {
     pub picture_layout: wgpu::BindGroupLayout,
     /// Group 3 of the screen-space march: view.
     pub view_layout: wgpu::BindGroupLayout,
+    /// Group 3 of the temporal window's march and sum: view, blue noise, window.
+    pub window_layout: wgpu::BindGroupLayout,
     /// Group 2 of the field's probe: points and values.
     pub points_layout: wgpu::BindGroupLayout,
     /// Group 3 of the field's probe: what is asked.
@@ -57,8 +60,10 @@ pub struct Pipelines {
     empty_layout: wgpu::BindGroupLayout,
     /// Stands where a kernel has no group.
     pub empty_group: wgpu::BindGroup,
-    /// Texture reads of the kernels that count them: low and high word.
+    /// Texture reads of the kernels that count them, low and high word, and density evaluations likewise.
     pub read_counter: wgpu::Buffer,
+    /// What moves the samples of a temporal window.
+    pub blue_noise: wgpu::Buffer,
     /// Stands where a picture has no list of rays.
     pub no_rays: wgpu::Buffer,
     made: HashMap<PipelineKey, wgpu::ComputePipeline>,
@@ -200,8 +205,13 @@ impl Pipelines {
                 mapped_at_creation: false,
             })
         };
+        let words = blue_noise_words();
+        let blue_noise = buffer("blue noise", size_of_val(words.as_slice()) as u64);
+        gpu.queue
+            .write_buffer(&blue_noise, 0, bytemuck::cast_slice(&words));
         Self {
-            read_counter: buffer("read counter", 8),
+            read_counter: buffer("read counter", 16),
+            blue_noise,
             no_rays: buffer("no rays", 32),
             scene_layout: layout(gpu, "scene", &[uniform()]),
             sun_scene_layout: layout(
@@ -284,6 +294,7 @@ impl Pipelines {
                 &[uniform(), storage(true), storage(true), storage(false)],
             ),
             view_layout: layout(gpu, "view", &[uniform(), storage(true)]),
+            window_layout: layout(gpu, "window", &[uniform(), storage(true), uniform()]),
             air_base_layout: layout(
                 gpu,
                 "air base",
@@ -361,7 +372,17 @@ impl Pipelines {
                 march_scene,
                 &self.field_layout,
                 &self.pixels_layout,
-                &self.view_layout,
+                if key.features.window {
+                    &self.window_layout
+                } else {
+                    &self.view_layout
+                },
+            ],
+            Kernel::ResolveWindow => [
+                &self.empty_layout,
+                &self.empty_layout,
+                &self.pixels_layout,
+                &self.window_layout,
             ],
             Kernel::Inspect => [
                 &self.scene_layout,

@@ -2,20 +2,26 @@
 
 mod atlas;
 mod audit;
+mod blue_noise;
 mod cell_buffers;
 mod frame;
 mod night;
+mod pattern;
 mod pixels;
 mod settings;
 mod sky;
 mod sun_columns;
 mod texels;
 mod uniforms;
+mod window;
+mod window_pass;
 
 pub use atlas::{Atlas, TILES_PER_PAGE};
 pub use audit::{AUDIT_PLACES, AUDIT_TEXELS_MAX, AuditGroup, AuditMarch, audit_key, finer};
+pub use blue_noise::{BLUE_NOISE_SIZE, blue_noise_words};
 pub use cell_buffers::CellBuffers;
 pub use frame::CellFrame;
+pub use pattern::{FramePlace, WINDOW_FRAMES_MAX, window_places};
 pub use pixels::{LISTED_VALUES, MarchedPixels, PixelStrip, pixels_key};
 pub use settings::MarchSettings;
 pub use sky::{SkyLight, sky_light, sun_angular_radius_rad};
@@ -25,4 +31,8 @@ pub use uniforms::{
     ActiveLayer, EXPOSURE_AT_ZERO_EV, LayerBlend, active_layers, drift_m_per_s, grid_first_slices,
     hg_draine_parameters, layer_features, placed_sheets, placed_weather, scene_uniform,
     wind_drifts,
+};
+pub use window::{TemporalWindow, WindowPlan};
+pub use window_pass::{
+    WindowRing, WindowStrip, fitting_window, possible_frames, resolve_key, window_key,
 };

@@ -2,7 +2,7 @@
 
 use crate::config::FrameFilter;
 use crate::frame_loop::StillSettings;
-use crate::march::MarchSettings;
+use crate::march::{MarchSettings, WindowPlan};
 use crate::sun_volume::SunVolumeSize;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -55,6 +55,10 @@ pub struct PointSettings {
     pub samples: u32,
     /// Frames over which the samples are spread: a frame costs the picture's cost divided by this.
     pub window_frames: u32,
+    /// Parts into which a window shares out the steps: a frame takes one (screen-space).
+    pub depth_segments: u32,
+    /// Parts into which a window cuts a step where cloud begins (screen-space).
+    pub refinement: u32,
     /// The marched picture's sides are the shown one's divided by this (screen-space).
     pub resolution_divisor: u32,
     /// Halvings of the cache's resolution below the screen's (cached).
@@ -86,6 +90,8 @@ impl PointSettings {
             exact_interpolation: false,
             samples,
             window_frames: 1,
+            depth_segments: 1,
+            refinement: 1,
             resolution_divisor: 1,
             mip_bias: 0.0,
             filter: FrameFilter::CatmullRom,
@@ -128,12 +134,27 @@ impl PointSettings {
             },
             samples: self.samples,
             show: skycell_protocol::Show::Picture,
-            resolution_divisor: self.resolution_divisor,
+            window: self.window(),
+            frames: self.samples,
+            resting_frames: 1,
+            turn_deg_per_frame: 0.0,
             mip_bias: self.mip_bias,
             filter: self.filter,
             reference_offset_m: offset_m.to_array(),
             shared_background: false,
         }
+    }
+
+    /// The temporal window, where there is one: samples are its frames. A picture that is marched with fewer pixels has one
+    /// too, which finds the others.
+    fn window(&self) -> Option<WindowPlan> {
+        let has_window = self.window_frames > 1 || self.resolution_divisor > 1;
+        (has_window && self.renderer == RendererKind::ScreenSpace).then_some(WindowPlan {
+            frames: self.samples,
+            divisor: self.resolution_divisor,
+            depth_segments: self.depth_segments,
+            refinement: self.refinement,
+        })
     }
 
     /// Whether a server can be set so: the cache, read from where viewers are, nothing switched off.

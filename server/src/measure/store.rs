@@ -38,6 +38,8 @@ pub struct Cost {
     pub marches: u64,
     /// Texture reads, counted by the shader.
     pub texture_reads: Option<u64>,
+    /// Evaluations of a density, counted by the shader.
+    pub density_evaluations: Option<u64>,
     /// Look-ups of density for columns of the sun volume; they are among the texture reads.
     #[serde(default)]
     pub sun_volume_evaluations: u64,

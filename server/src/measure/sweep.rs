@@ -162,7 +162,11 @@ impl Sweep {
             .render_with(self.camera, self.size, &counting, |share| {
                 progress(0.5 + 0.5 * share)
             })?;
-        let texture_reads = counted.figures.texture_reads;
+        let StillFigures {
+            texture_reads,
+            density_evaluations,
+            ..
+        } = counted.figures;
         let shown = RgbImage::from_raw(
             self.size.width(),
             self.size.height(),
@@ -186,6 +190,7 @@ impl Sweep {
             cost: Cost {
                 marches,
                 texture_reads,
+                density_evaluations,
                 sun_volume_evaluations: picture.figures.sun_volume_evaluations,
                 gpu_ns,
                 wall_s,

@@ -1,6 +1,7 @@
 //! What a quality sets.
 
 use crate::config::FrameFilter;
+use crate::march::{WINDOW_FRAMES_MAX, WindowPlan};
 use serde::{Deserialize, Serialize};
 use skycell_protocol::SunDepth;
 
@@ -43,6 +44,19 @@ impl Default for QualitySettings {
 }
 
 impl QualitySettings {
+    /// How a viewer with rays of its own spreads its pictures over frames.
+    #[must_use]
+    pub fn window_plan(&self) -> WindowPlan {
+        // The ladder's point where the cache is read coarsely too; four samples a pixel where it is not.
+        let coarse = self.mip_bias >= 0.5;
+        WindowPlan {
+            frames: WINDOW_FRAMES_MAX,
+            divisor: if coarse { 4 } else { 2 },
+            depth_segments: if coarse { 3 } else { 2 },
+            refinement: 2,
+        }
+    }
+
     /// The march of both that is finer in each respect; without, sun steps and octaves count as the scene's. What only
     /// frames need stays.
     #[must_use]

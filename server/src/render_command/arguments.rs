@@ -111,6 +111,21 @@ pub struct RenderArguments {
     /// density-section. For the device's renderers and .png.
     #[arg(long, value_name = "NAME", default_value = "picture", value_parser = show_of)]
     pub show: Show,
+    /// The screen-space renderer spreads the picture over a sliding window of so many frames, 1 to 16.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=16))]
+    pub window: Option<u32>,
+    /// Frames that have been marched when the picture is taken, 1 to 100000; without: as many as the window has.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub frames: Option<u32>,
+    /// Parts into which a window shares out the steps, 1 to 16: each frame takes one.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
+    pub depth_segments: u32,
+    /// Parts into which a window cuts a step where cloud begins, 1 to 16.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
+    pub refinement: u32,
+    /// Degrees by which the camera turns to the right from frame to frame of a window, to end where it is to look.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    pub turn_deg_per_frame: f64,
     /// Sky time: seconds for which the wind has blown and the sun has moved.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     pub time_s: f64,

@@ -7,7 +7,7 @@ use crate::config::{PlacedCell, RenderConfig};
 use crate::frame_loop::{
     LayerFigures, RayFigures, RayPicture, StillPicture, StillRay, StillRenderer, StillSettings,
 };
-use crate::march::{CellFrame, MarchSettings};
+use crate::march::{CellFrame, MarchSettings, WindowPlan};
 use anyhow::{Context, bail, ensure};
 use glam::DVec3;
 use serde_json::json;
@@ -77,7 +77,19 @@ fn settings(
         } else {
             1
         },
-        resolution_divisor: arguments.resolution_divisor,
+        window: (arguments.window.is_some() || arguments.resolution_divisor > 1).then_some(
+            WindowPlan {
+                frames: arguments.window.unwrap_or(samples as u32),
+                divisor: arguments.resolution_divisor,
+                depth_segments: arguments.depth_segments,
+                refinement: arguments.refinement,
+            },
+        ),
+        frames: arguments
+            .frames
+            .or(arguments.window)
+            .unwrap_or(samples as u32),
+        turn_deg_per_frame: arguments.turn_deg_per_frame,
         mip_bias: arguments.mip_bias,
         show: arguments.show,
         ..StillSettings::default()
@@ -171,6 +183,7 @@ pub(super) fn run(
         let told = json!({
             "out": arguments.out, "adapter": still.adapter(), "wall_s": figures.wall_s,
             "marches": figures.marches, "sun_volume_evaluations_of_picture": figures.sun_volume_evaluations, "texture_reads": figures.texture_reads,
+            "density_evaluations": figures.density_evaluations,
             "texels_updated": totals.texels_updated, "tiles_updated": totals.tiles_updated,
             "screen_space_marches": totals.screen_space_marches,
             "sun_volume_evaluations": totals.sun_volume_evaluations, "sun_volume_columns": totals.sun_volume_columns,

@@ -13,6 +13,8 @@
 #ifdef COUNT_READS
 /// Texture reads of this invocation.
 var<private> texture_reads: u32 = 0u;
+/// Evaluations of a density.
+var<private> density_evaluations: u32 = 0u;
 #endif
 
 // Every read of the field is one of the functions below. A sampler weighs neighbours with 8 bits or so and may round what
@@ -21,6 +23,12 @@ var<private> texture_reads: u32 = 0u;
 fn count_read() {
 #ifdef COUNT_READS
     texture_reads += 1u;
+#endif
+}
+
+fn count_density() {
+#ifdef COUNT_READS
+    density_evaluations += 1u;
 #endif
 }
 
@@ -169,6 +177,7 @@ fn vertical_profile(layer: Layer, cloud_type: f32, height_fraction: f32) -> f32 
 /// type: heaps are low at their rims and tall in their middles, and no noise is needed for their tops, which would leave
 /// crumbs above them.
 fn dimensional_profile(layer: Layer, map: vec3f, height_fraction: f32) -> f32 {
+    count_density();
     let coverage = coverage_from_map(layer.coverage, map.x);
     let cloud_type = type_from_map(layer.cloud_type, map.y) * mix(1.0, coverage, layer.dome);
     return coverage * vertical_profile(layer, cloud_type, height_fraction);
@@ -215,6 +224,7 @@ fn smooth_density(layer: Layer, position: vec3f, altitude_m: f32, height_fractio
 /// Density in 0...1 of a thin sheet, the same at all of its altitudes: patches, in which fibres or a veil stand. The map holds
 /// patches, read over its span, and fibres and veil, read over the fibres' period and along their axis.
 fn sheet_density(layer: Layer, position_xz: vec2f) -> f32 {
+    count_density();
     let patches = map_texel(layer, position_xz).x;
     let axis = layer.fibre_axis;
     let along = vec2f(dot(position_xz, axis), dot(position_xz, vec2f(-axis.y, axis.x)));
@@ -225,6 +235,7 @@ fn sheet_density(layer: Layer, position_xz: vec2f) -> f32 {
 
 /// Density in 0...1 of a layer without maps: a shape that is filled, or voxels. Outside the bounds there is nothing.
 fn bounded_density(layer: Layer, position: vec3f, altitude_m: f32) -> f32 {
+    count_density();
     let share = (vec3f(position.x, altitude_m, position.z) - layer.bounds_min) * layer.bounds_per_m;
     let inside = all(share >= vec3f(0.0)) && all(share <= vec3f(1.0));
 #ifdef DENSITY_GRID

@@ -55,36 +55,15 @@ const VALUES: u32 = 5u;
 
 /// The marched pixel at a column and row.
 fn marched_pixel(eye: View, layer_index: u32, pixel: vec2u) -> LayerRadiance {
-    let at = ((layer_index * eye.marched_height + pixel.y) * eye.marched_width + pixel.x) * VALUES;
+    let at = ((layer_index * eye.height + pixel.y) * eye.width + pixel.x) * VALUES;
     return LayerRadiance(marched[at], marched[at + 1u], marched[at + 2u], marched[at + 3u], marched[at + 4u]);
-}
-
-fn mixed_radiance(a: LayerRadiance, b: LayerRadiance, share: f32) -> LayerRadiance {
-    return LayerRadiance(
-        mix(a.single, b.single, share),
-        mix(a.octaves, b.octaves, share),
-        mix(a.ambient, b.ambient, share),
-        mix(a.transmittance, b.transmittance, share),
-        mix(a.opacity_distance_m, b.opacity_distance_m, share),
-    );
 }
 #endif
 
 /// What the viewer sees of one layer along a ray.
 fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> LayerRadiance {
 #ifdef SCREEN_SPACE
-#ifdef UPSAMPLE
-    let size = vec2f(f32(eye.marched_width), f32(eye.marched_height));
-    let place = clamp((vec2f(pixel) + 0.5) * size / vec2f(f32(eye.width), f32(eye.height)) - 0.5, vec2f(0.0), size - 1.0);
-    let low = vec2u(place);
-    let high = min(low + 1u, vec2u(eye.marched_width, eye.marched_height) - 1u);
-    let share = place - vec2f(low);
-    let upper = mixed_radiance(marched_pixel(eye, layer_index, low), marched_pixel(eye, layer_index, vec2u(high.x, low.y)), share.x);
-    let lower = mixed_radiance(marched_pixel(eye, layer_index, vec2u(low.x, high.y)), marched_pixel(eye, layer_index, high), share.x);
-    let cloud = mixed_radiance(upper, lower, share.y);
-#else
     let cloud = marched_pixel(eye, layer_index, pixel);
-#endif
     // Samples of the pixels at the horizon reach above it; the middle of the pixel decides, as it does for the cache.
     let hidden = hidden_by_ground(ray, layer.base_altitude_m);
     let seen = select(1.0, 0.0, hidden);

@@ -53,6 +53,13 @@ var<private> steps_taken: u32 = 0u;
 var<private> optical_depth_seen: f32 = 0.0;
 #endif
 
+#ifdef WINDOW
+/// How many steps of the whole march one step is long: a frame of a temporal window takes every so many-th sample.
+var<private> step_scale: f32 = 1.0;
+/// Into how many parts a step is cut where cloud begins.
+var<private> refinement: f32 = 1.0;
+#endif
+
 /// What a ray needs of the scene. Read once before the first branch: software drivers read uniforms lane by lane behind
 /// one, which costs more than the arithmetic.
 struct RayScene {
@@ -127,6 +134,26 @@ fn distance_at_m(layer: Layer, steps: f32) -> f32 {
 fn first_sample_at(layer: Layer, distance_m: f32, start_fraction: f32) -> f32 {
     return ceil(steps_at(layer, distance_m) - start_fraction) + start_fraction;
 }
+
+#ifdef WINDOW
+/// The first whole step behind the present one.
+fn whole_step_after(steps: f32, share: f32, start_fraction: f32) -> f32 {
+    return ceil(steps + 0.5 * share - start_fraction) + start_fraction;
+}
+
+/// Where a ray goes on that is not in cloud or has just come upon it with a whole step (x: steps from its origin, y: length
+/// of the next step, z: parts of a step without cloud). Coming upon cloud it goes back to behind the last whole step and
+/// on in parts; after a whole step's parts without cloud it takes whole steps again.
+/// Never before `begin`, where the ray has entered the layer.
+fn refined_step(steps: f32, share: f32, empty_parts: f32, is_cloud: bool, fine: f32, start_fraction: f32, begin: f32) -> vec3f {
+    let begins = is_cloud && share >= 1.0;
+    let empty = empty_parts + 1.0;
+    let ends = share < 1.0 && empty * share >= 1.0;
+    let goes_on = select(vec3f(steps + share, share, empty), vec3f(whole_step_after(steps, share, start_fraction), 1.0, 0.0), ends);
+    let first = ceil((begin - start_fraction) / fine) * fine + start_fraction;
+    return select(goes_on, vec3f(max(steps - 1.0 + fine, first), fine, 0.0), begins);
+}
+#endif
 
 /// Density at a place as the sun sees it, 0...1: without detail, and 0 outside the layer.
 fn sun_density(planet_radius_m: f32, layer: Layer, position: vec3f) -> f32 {
@@ -270,7 +297,17 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
     let ray = ray_scene(layer_index);
     var octave_attenuation: array<vec4f, #{OCTAVE_VECTORS}>;
     for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_attenuation[k] = scene.light.octave_attenuation[k]; }
+#ifdef WINDOW
+    var layer = scene.layers[layer_index];
+    layer.step_min_m *= step_scale;
+    layer.step_per_distance *= step_scale;
+    // Length of the present step as a share of a whole one: where cloud begins, the ray steps back and goes on in parts.
+    let fine = 1.0 / refinement;
+    var share = 1.0;
+    var empty_parts = 0.0;
+#else
     let layer = scene.layers[layer_index];
+#endif
     let thickness_m = max(layer.top_altitude_m - layer.base_altitude_m, 1e-3);
     let has_ground = scene.planet.has_ground > 0.0;
     let intervals = layer_intervals(ray.planet_radius_m, has_ground, layer.base_altitude_m, layer.top_altitude_m, origin, direction);
@@ -298,6 +335,9 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
     }
     var steps = first_sample_at(layer, start_m, start_fraction);
     var distance_m = distance_at_m(layer, steps);
+#ifdef WINDOW
+    var begin = steps_at(layer, start_m);
+#endif
 
     var transmittance = 1.0;
     var ambient = 0.0;
@@ -324,6 +364,9 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
             loop {
                 if distance_m >= end_m && second {
                     steps = first_sample_at(layer, second_start_m, start_fraction);
+#ifdef WINDOW
+                    begin = steps_at(layer, second_start_m);
+#endif
                     distance_m = distance_at_m(layer, steps);
                     end_m = second_end_m;
                     second = false;
@@ -337,19 +380,37 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
                 if profile > 0.0 || lights_empty { break; }
                 probes += 1u;
                 let skip_m = map.z * layer.skip_range_m / across;
+#ifdef WINDOW
+                // Back on the grid of whole steps.
+                steps = max(first_sample_at(layer, distance_m + skip_m, start_fraction), whole_step_after(steps, share, start_fraction));
+                share = 1.0;
+#else
                 steps += max(ceil(steps_at(layer, distance_m + skip_m) - steps), 1.0);
+#endif
                 distance_m = distance_at_m(layer, steps);
             }
             if distance_m >= end_m || probes >= PROBES_MAX { break; }
             let detail_weight = saturate(2.0 - distance_m * DETAIL_ANGLE_RAD / detail_voxel_m);
             density = carved_density(layer, position, altitude, height_fraction, profile, detail_weight);
+#ifdef WINDOW
+            if (density > 0.0 || lights_empty) && (share < 1.0 || refinement <= 1.0) { break; }
+            probes += 1u;
+            let stepped = refined_step(steps, share, empty_parts, density > 0.0, fine, start_fraction, begin);
+            steps = stepped.x;
+            share = stepped.y;
+            empty_parts = stepped.z;
+#else
             if density > 0.0 || lights_empty { break; }
             probes += 1u;
             steps += 1.0;
+#endif
             distance_m = distance_at_m(layer, steps);
 #else
             if distance_m >= end_m && second {
                 steps = first_sample_at(layer, second_start_m, start_fraction);
+#ifdef WINDOW
+                begin = steps_at(layer, second_start_m);
+#endif
                 distance_m = distance_at_m(layer, steps);
                 end_m = second_end_m;
                 second = false;
@@ -360,15 +421,29 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
             height_fraction = saturate((altitude - layer.base_altitude_m) / thickness_m);
             density = bounded_density(layer, position, altitude);
             profile = density;
+#ifdef WINDOW
+            if (density > 0.0 || lights_empty) && (share < 1.0 || refinement <= 1.0) { break; }
+            probes += 1u;
+            let stepped = refined_step(steps, share, empty_parts, density > 0.0, fine, start_fraction, begin);
+            steps = stepped.x;
+            share = stepped.y;
+            empty_parts = stepped.z;
+#else
             if density > 0.0 || lights_empty { break; }
             probes += 1u;
             steps += 1.0;
+#endif
             distance_m = distance_at_m(layer, steps);
 #endif
         }
         if distance_m >= end_m || probes >= PROBES_MAX { break; }
 
+#ifdef WINDOW
+        let length_m = share * step_length_m(layer, distance_m);
+        empty_parts = 0.0;
+#else
         let length_m = step_length_m(layer, distance_m);
+#endif
         let optical_depth = density * layer.extinction_per_m * length_m;
         // 1 - e^-τ without cancellation for thin steps.
         let opacity = optical_depth * one_minus_exp_over(optical_depth);
@@ -384,7 +459,11 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         steps_taken = lit + 1u + probes;
         optical_depth_seen += optical_depth;
 #endif
+#ifdef WINDOW
+        steps += share;
+#else
         steps += 1.0;
+#endif
         distance_m = distance_at_m(layer, steps);
         if transmittance < layer.transmittance_min { break; }
     }

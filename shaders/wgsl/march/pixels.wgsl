@@ -5,16 +5,30 @@
 #import skycell::march::{steps_taken, optical_depth_seen}
 #endif
 #ifdef COUNT_READS
-#import skycell::density::texture_reads
+#import skycell::density::{texture_reads, density_evaluations}
+#endif
+#ifdef WINDOW
+#import skycell::march::{step_scale, refinement}
+#import skycell::temporal::{Window, blue_noise_shift, blue_noise_index, shifted, packed}
 #endif
 
 /// Per layer and pixel: single, octaves, ambient, transmittance and the distance; for listed rays steps and optical depth
 /// too.
+#ifdef WINDOW
+/// Per layer, slice and marched pixel: see temporal.wgsl.
+@group(2) @binding(0) var<storage, read_write> ring: array<vec4u>;
+#else
 @group(2) @binding(0) var<storage, read_write> marched: array<f32>;
-/// Texture reads so far, low and high word.
-@group(2) @binding(1) var<storage, read_write> read_counter: array<atomic<u32>, 2>;
+#endif
+/// Texture reads so far, low and high word, and density evaluations likewise.
+@group(2) @binding(1) var<storage, read_write> read_counter: array<atomic<u32>, 4>;
 @group(3) @binding(0) var<uniform> view: View;
+#ifdef WINDOW
+@group(3) @binding(1) var<storage, read> blue_noise: array<u32>;
+@group(3) @binding(2) var<uniform> window: Window;
+#else
 @group(3) @binding(1) var<storage, read> rays: array<ListedRay>;
+#endif
 
 #ifdef RAY_LIST
 const VALUES: u32 = 7u;
@@ -22,6 +36,37 @@ const VALUES: u32 = 7u;
 const VALUES: u32 = 5u;
 #endif
 
+#ifdef COUNT_READS
+fn count() {
+    let reads_before = atomicAdd(&read_counter[0], texture_reads);
+    if reads_before + texture_reads < reads_before { atomicAdd(&read_counter[1], 1u); }
+    let evaluations_before = atomicAdd(&read_counter[2], density_evaluations);
+    if evaluations_before + density_evaluations < evaluations_before { atomicAdd(&read_counter[3], 1u); }
+}
+#endif
+
+#ifdef WINDOW
+/// Marches a strip of rows of one layer into the window's newest slice: one ray per marched pixel, at the frame's place in
+/// it, and of its march the frame's part of the samples.
+@compute @workgroup_size(8, 8, 1)
+fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
+    let texel = vec2u(id.x, id.y + view.first_row);
+    let size = vec2u(view.marched_width, view.marched_height);
+    let newest = window.newest;
+    let pixel = vec2f(texel) * f32(window.divisor) + window.slices[newest].pixel;
+    let place = vec3f(window.slices[newest].within, window.slices[newest].segment);
+    let spread = window.spread;
+    step_scale = window.step_scale;
+    refinement = window.refinement;
+    let at = ((view.layer * window.frames + newest) * size.y + texel.y) * size.x + texel.x;
+    if texel.x >= size.x || texel.y >= size.y { return; }
+    let moved = shifted(place, blue_noise_shift(blue_noise[blue_noise_index(pixel)]));
+    ring[at] = packed(march_layer(view.layer, view.position, pixel_direction(view, pixel + 0.5 + spread * (moved.xy - 0.5)), moved.z));
+#ifdef COUNT_READS
+    count();
+#endif
+}
+#else
 /// Adds one sample to a strip of rows of one layer.
 @compute @workgroup_size(8, 8, 1)
 fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
@@ -43,8 +88,7 @@ fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
     let at = ((view.layer * view.height + pixel.y) * view.width + pixel.x) * VALUES;
     let weight = view.sample_weight;
 #ifdef COUNT_READS
-    let before = atomicAdd(&read_counter[0], texture_reads);
-    if before + texture_reads < before { atomicAdd(&read_counter[1], 1u); }
+    count();
 #endif
 #ifdef RAY_LIST
     marched[at + 5u] = f32(steps_taken);
@@ -64,3 +108,4 @@ fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
     marched[at + 3u] = mix(marched[at + 3u], sample.transmittance, weight);
     marched[at + 4u] = mix(marched[at + 4u], sample.opacity_distance_m, weight);
 }
+#endif

@@ -8,6 +8,7 @@
 #import skycell::shade::{background, background_radiance, pixel_ray, layer_over, sun_phase_per_sr}
 #import skycell::tone::{balanced, filmic, agx_encoded, neutral}
 #import skycell::accumulate::accumulated
+#import skycell::temporal::{reprojected, window_weight, parallax_weight, packed, unpacked}
 #import skycell::density::{coverage_from_map, type_from_map}
 #ifdef DENSITY_WEATHER
 #import skycell::density::{map_texel, dimensional_profile, vertical_profile, carved_density, smooth_density}
@@ -138,6 +139,14 @@ fn probe_field(@builtin(global_invocation_id) id: vec3u) {
                 held = accumulated(held, select(a - c, a + c, n % 2u == 0u), weight);
             }
             value = held;
+        }
+        // reprojected(forward = a.xyz, across = b.xyz, upward = c.xyz, size = (a.w, b.w), point from the eye = d.xyz)
+        case 30u: { value = vec4f(reprojected(a.xyz, b.xyz, c.xyz, vec2f(a.w, b.w), d.xyz), 0.0); }
+        // Weights of a sample at a.xy with sharpness a.z and of a move by a.w seen from b.x; c and d.x kept and taken out.
+        case 31u: {
+            let kept = unpacked(packed(LayerRadiance(c.x, c.y, c.z, c.w, d.x)));
+            value = vec4f(window_weight(a.xy, a.z), parallax_weight(a.w, b.x), kept.opacity_distance_m, 0.0);
+            more = vec4f(kept.single, kept.octaves, kept.ambient, kept.transmittance);
         }
         default: {}
     }

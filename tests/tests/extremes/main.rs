@@ -22,6 +22,7 @@ mod sun;
 mod sun_volume;
 mod time;
 mod truth;
+mod window;
 
 use line::Line;
 use stage::{Stage, stage};
@@ -29,7 +30,7 @@ use stage::{Stage, stage};
 type Run = fn(&mut Stage) -> Line;
 
 /// How many cases each line has.
-const CASES: [(Run, usize); 24] = [
+const CASES: [(Run, usize); 25] = [
     (sun::anywhere, 102),
     (sun::along_the_ray, 8),
     (camera::anywhere, 92),
@@ -54,6 +55,7 @@ const CASES: [(Run, usize); 24] = [
     (time::any_clock, 12),
     (sun_volume::anywhere, 32),
     (sun_volume::through_slabs, 33),
+    (window::any, 35),
 ];
 
 fn check(index: usize) {
@@ -100,4 +102,5 @@ lines! {
     clocks_may_stand_race_and_run_backwards_at_any_place = 21;
     the_sun_volume_serves_any_sun_place_and_time = 22;
     the_sun_volume_holds_slabs_and_what_stands_above_them = 23;
+    windows_may_turn_cut_rest_and_last = 24;
 }

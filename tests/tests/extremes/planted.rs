@@ -2,7 +2,7 @@
 
 use super::line::Line;
 use super::stage::{Stage, stage};
-use super::{camera, depth, layers, maps, phase, sheets, shells, steps, sun_volume};
+use super::{camera, depth, layers, maps, phase, sheets, shells, steps, sun_volume, window};
 use skycell_shaders::SourceEdit;
 
 /// What is planted where; the text must be there.
@@ -27,7 +27,7 @@ type Case = (
     fn(&mut Stage) -> Line,
 );
 
-const DEFECTS: [Case; 12] = [
+const DEFECTS: [Case; 14] = [
     (
         "shell roots from squares of radii",
         edit!(
@@ -148,6 +148,26 @@ const DEFECTS: [Case; 12] = [
         ),
         "sun volume through slabs",
         sun_volume::through_slabs,
+    ),
+    (
+        "a reprojection whose up is down",
+        edit!(
+            "march/temporal.wgsl",
+            "-dot(point_from_eye, upward)",
+            "dot(point_from_eye, upward)"
+        ),
+        "temporal window",
+        window::any,
+    ),
+    (
+        "a window that keeps a thousandth of every frame",
+        edit!(
+            "march/resolve.wgsl",
+            "marched[at] = mean.light.x;",
+            "marched[at] = 1e-3 * marched[at] + mean.light.x + select(0.0, marched[at], window.newest == 0u);"
+        ),
+        "temporal window",
+        window::any,
     ),
 ];
 

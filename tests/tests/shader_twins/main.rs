@@ -11,5 +11,6 @@ mod sheet;
 mod sky;
 mod sun_volume;
 mod support;
+mod temporal;
 mod tone;
 mod transport;

@@ -133,6 +133,8 @@ impl ReportPoint {
 pub struct RungCosts {
     /// Texture reads.
     pub texture_reads: Option<f64>,
+    /// Evaluations of a density.
+    pub density_evaluations: Option<f64>,
     /// Rays.
     pub marches: Option<f64>,
     /// Milliseconds by the device's timestamps.
@@ -149,6 +151,7 @@ impl RungCosts {
         let cost = point.measurement.cost;
         Self {
             texture_reads: cost.texture_reads.map(|n| n as f64 / frames),
+            density_evaluations: cost.density_evaluations.map(|n| n as f64 / frames),
             marches: Some(cost.marches as f64 / frames),
             gpu_ms: cost.gpu_ns.map(|ns| ns as f64 / 1e6 / frames),
             wall_ms: Some(cost.wall_s * 1e3 / frames),
@@ -161,6 +164,7 @@ impl RungCosts {
         let factor = |a: Option<f64>, b: Option<f64>| Some(b? / a?).filter(|f| f.is_finite());
         Self {
             texture_reads: factor(self.texture_reads, plain.texture_reads),
+            density_evaluations: factor(self.density_evaluations, plain.density_evaluations),
             marches: factor(self.marches, plain.marches),
             gpu_ms: factor(self.gpu_ms, plain.gpu_ms),
             wall_ms: factor(self.wall_ms, plain.wall_ms),
@@ -177,8 +181,10 @@ pub struct Rung {
     pub frame: RungCosts,
     /// How many times less than the plain march.
     pub times_less_than_plain: RungCosts,
-    /// Mean FLIP.
+    /// Mean FLIP against the reference.
     pub flip: f64,
+    /// Mean FLIP against the plain march's picture.
+    pub flip_of_plain: Option<f64>,
     /// Mean SSIM.
     pub ssim: f64,
     /// Relative MSE.
@@ -285,7 +291,7 @@ fn front_of(
         .collect()
 }
 
-/// The most accurate point of an axis, where there is one.
+/// The point of an axis that the others leave something out of, where there is one.
 fn finest<'a>(
     axis: Axis,
     points: impl Iterator<Item = &'a ReportPoint>,
@@ -295,8 +301,10 @@ fn finest<'a>(
         Axis::Steps | Axis::SunSteps | Axis::Octaves | Axis::Budget | Axis::Codec => {
             points.max_by(by_position)
         }
-        Axis::Resolution | Axis::MipBias | Axis::Offset => points.min_by(by_position),
-        Axis::Ladder | Axis::SunVolume | Axis::Window | Axis::TexelFormat | Axis::Front => None,
+        Axis::Ladder | Axis::Resolution | Axis::MipBias | Axis::Offset => {
+            points.min_by(by_position)
+        }
+        Axis::SunVolume | Axis::Window | Axis::TexelFormat | Axis::Front => None,
     }
 }
 
@@ -329,6 +337,7 @@ fn ladder(points: &[ReportPoint]) -> Vec<Rung> {
                 frame,
                 times_less_than_plain: frame.factors(plain),
                 flip: point.measurement.shown.flip,
+                flip_of_plain: point.flip_of_axis,
                 ssim: point.measurement.shown.ssim,
                 relative_mse: point.measurement.linear.map(|l| l.relative_mse),
             }

@@ -153,8 +153,8 @@ fn ladder(report: &Report, thumbnails: Thumbnails<'_>) -> Markup {
             "Bars of cost are logarithmic, those of FLIP are not." }
         div.scroll { table.ladder {
             thead { tr {
-                th { "Rung" } th.n { "Reads" } th.n { "×" } th.n { "Rays" } th.n { "×" } th.n { "GPU ms" } th.n { "×" }
-                th.n { "Clock ms" } th.n { "×" } th.n { "FLIP" } th.n { "SSIM" } th.n { "Relative MSE" }
+                th { "Rung" } th.n { "Reads" } th.n { "×" } th.n { "Densities" } th.n { "×" } th.n { "Rays" } th.n { "×" } th.n { "GPU ms" } th.n { "×" }
+                th.n { "Clock ms" } th.n { "×" } th.n { "FLIP" } th.n { "of plain" } th.n { "SSIM" } th.n { "Relative MSE" }
             } }
             tbody { @for rung in &report.ladder { tr {
                 th { (rung.name) }
@@ -162,6 +162,7 @@ fn ladder(report: &Report, thumbnails: Thumbnails<'_>) -> Markup {
                     td.n { (optional(cost)) } td.n { (optional(factor)) }
                 }
                 td.n { (short(rung.flip)) }
+                td.n { (optional(rung.flip_of_plain)) }
                 td.n { (format!("{:.4}", rung.ssim)) }
                 td.n { (optional(rung.relative_mse)) }
             } } }
@@ -177,9 +178,10 @@ fn ladder(report: &Report, thumbnails: Thumbnails<'_>) -> Markup {
     }
 }
 
-fn columns(costs: &RungCosts) -> [Option<f64>; 4] {
+fn columns(costs: &RungCosts) -> [Option<f64>; 5] {
     [
         costs.texture_reads,
+        costs.density_evaluations,
         costs.marches,
         costs.gpu_ms,
         costs.wall_ms,
