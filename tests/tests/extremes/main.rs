@@ -14,6 +14,7 @@ mod octaves;
 mod phase;
 mod place;
 mod planted;
+mod scattering;
 mod sheets;
 mod shells;
 mod stage;
@@ -29,7 +30,7 @@ use stage::{Stage, stage};
 type Run = fn(&mut Stage) -> Line;
 
 /// How many cases each line has.
-const CASES: [(Run, usize); 24] = [
+const CASES: [(Run, usize); 26] = [
     (sun::anywhere, 102),
     (sun::along_the_ray, 8),
     (camera::anywhere, 92),
@@ -54,6 +55,8 @@ const CASES: [(Run, usize); 24] = [
     (time::any_clock, 12),
     (sun_volume::anywhere, 32),
     (sun_volume::through_slabs, 33),
+    (scattering::any, 135),
+    (scattering::furnace, 18),
 ];
 
 fn check(index: usize) {
@@ -100,4 +103,6 @@ lines! {
     clocks_may_stand_race_and_run_backwards_at_any_place = 21;
     the_sun_volume_serves_any_sun_place_and_time = 22;
     the_sun_volume_holds_slabs_and_what_stands_above_them = 23;
+    light_that_is_scattered_often_is_the_twins_in_any_cloud = 24;
+    clouds_cannot_be_seen_in_a_furnace = 25;
 }
