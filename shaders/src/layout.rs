@@ -155,6 +155,34 @@ gpu_struct! {
 }
 
 gpu_struct! {
+    /// Light that is scattered many times.
+    Diffusion {
+        /// Strength of diffuse sunlight; 0: none.
+        strength: f32,
+        /// Factor of the phase's eccentricity for it.
+        eccentricity: f32,
+        /// How fast it falls from the lit to the dark side.
+        slope: f32,
+        /// Thickness of a cloud that has half of a thick one's.
+        thickness: f32,
+        /// How fast it leaks out of the sides.
+        leak: f32,
+        /// What is added to a cloud's width before that.
+        width: f32,
+        /// How fast the sky's light falls from top to base.
+        sky_slope: f32,
+        /// How fast a cloud stops passing the sky's light onwards.
+        sky_thinness: f32,
+        /// How much of what a thin cloud passes on comes from where the ray goes.
+        sky_forward: f32,
+        /// Samples of each of the five ways that measure what is around; 0: nobody asks.
+        samples: u32,
+        /// Fills to 16 bytes.
+        pad_uniform: [f32; 2],
+    }
+}
+
+gpu_struct! {
     /// How light scatters in cloud.
     Light {
         /// What layers have that have none of their own.
@@ -173,6 +201,8 @@ gpu_struct! {
         octave_contribution: [[f32; 4]; 4],
         /// c^i.
         octave_eccentricity: [[f32; 4]; 4],
+        /// What is scattered many times.
+        diffusion: Diffusion,
     }
 }
 
@@ -253,8 +283,10 @@ gpu_struct! {
         dome: f32,
         /// Share of wispy noise above the base, 0…1.
         wispiness: f32,
+        /// 1 − mean cosine of the phase.
+        transport_share: f32,
         /// Padding.
-        _pad_form: [f32; 3],
+        _pad_form: [f32; 2],
         /// Spectral irradiance of the sun at the layer's base, facing it, W/(m² nm).
         sun_at_base: [f32; 3],
         /// Fills to 16 bytes.

@@ -326,6 +326,10 @@ impl Features {
 
 /// Modules in an order in which each finds what it imports.
 const MODULES: &[(&str, &str)] = &[
+    (
+        "light/scattering.wgsl",
+        include_str!("../wgsl/light/scattering.wgsl"),
+    ),
     ("scene/scene.wgsl", include_str!("../wgsl/scene/scene.wgsl")),
     (
         "geometry/shell.wgsl",

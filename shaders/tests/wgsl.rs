@@ -102,6 +102,7 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::Sun>(Kernel::MarchTexels);
     check::<layout::Sky>(Kernel::MarchTexels);
     check::<layout::Light>(Kernel::MarchTexels);
+    check::<layout::Diffusion>(Kernel::MarchTexels);
     check::<layout::Layer>(Kernel::MarchTexels);
     check::<layout::Night>(Kernel::MarchTexels);
     check::<layout::Scene>(Kernel::MarchTexels);

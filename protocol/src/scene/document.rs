@@ -1,7 +1,7 @@
 //! The scene as it stands in JSON. Every key but `version` may be left out and then has the
 //! default that is written here; what numbers are allowed stands in [`super::ranges`].
 
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::Value;
 
 use super::family::{Family, WeatherPattern, WeatherProfile};
@@ -14,6 +14,8 @@ use super::tone::ToneDocument;
 use crate::ValueError;
 use crate::quality::QualityChoice;
 use crate::read_json::{ObjectReader, ReadJson, document, document_members, read_name};
+
+use super::scattering::Scattering;
 
 /// The version of the scene document that this crate reads and writes.
 pub const SCENE_VERSION: u32 = 1;
@@ -384,7 +386,10 @@ document! {
     pub struct LightDocument {
         /// Where droplets scatter light to.
         "phase" => phase: PhaseDocument = PhaseDocument::default(),
-        /// Terms of the multiple-scattering sum; 1 is single scattering (Wrenninge 2013).
+        /// What becomes of light that is scattered more than once: "fitted" to a path tracer, or "octaves" with the
+        /// factors below.
+        "scattering" => scattering: Scattering = Scattering::Fitted,
+        /// Terms of the multiple-scattering sum; 1 is single scattering (Wrenninge 2013), with either model.
         "octaves" => octaves: u32 = 4,
         /// Factor of the sun's optical depth from one octave to the next (Wrenninge's a).
         "octave_attenuation" => octave_attenuation: f64 = 0.5,
@@ -667,6 +672,18 @@ impl ReadJson for ShapeDocument {
                     .map(Self::Sphere)
             }
         }
+    }
+}
+
+impl ReadJson for Scattering {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        read_name(value, pointer, &Self::NAMES)
+    }
+}
+
+impl Serialize for Scattering {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
     }
 }
 

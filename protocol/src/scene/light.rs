@@ -2,6 +2,7 @@
 
 use super::document::{DraineDocument, HgDocument, HgDraineDocument, LightDocument, PhaseDocument};
 use super::ranges;
+use super::scattering::Scattering;
 use crate::ValueError;
 use serde::{Deserialize, Serialize};
 
@@ -9,6 +10,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Light {
     phase: PhaseFunction,
+    scattering: Scattering,
     octaves: u32,
     octave_attenuation: f64,
     octave_contribution: f64,
@@ -23,6 +25,11 @@ impl Light {
     /// Where droplets scatter light to.
     pub fn phase(&self) -> &PhaseFunction {
         &self.phase
+    }
+
+    /// What becomes of light that is scattered more than once.
+    pub fn scattering(&self) -> Scattering {
+        self.scattering
     }
 
     /// Terms of the multiple-scattering sum, 1 to 16; 1 is single scattering (Wrenninge 2013).
@@ -160,6 +167,7 @@ impl TryFrom<LightDocument> for Light {
     fn try_from(document: LightDocument) -> Result<Self, ValueError> {
         Ok(Self {
             phase: PhaseFunction::try_from(document.phase).map_err(|e| e.under("/phase"))?,
+            scattering: document.scattering,
             octaves: ranges::OCTAVES.check_u32("/octaves", document.octaves)?,
             octave_attenuation: ranges::OCTAVE_FACTOR
                 .check("/octave_attenuation", document.octave_attenuation)?,
@@ -180,6 +188,7 @@ impl From<&Light> for LightDocument {
     fn from(light: &Light) -> Self {
         Self {
             phase: (&light.phase).into(),
+            scattering: light.scattering,
             octaves: light.octaves,
             octave_attenuation: light.octave_attenuation,
             octave_contribution: light.octave_contribution,

@@ -8,6 +8,7 @@ mod light;
 mod maps;
 mod night;
 pub mod ranges;
+mod scattering;
 mod sky;
 #[cfg(test)]
 mod tests;
@@ -29,6 +30,7 @@ pub use layer::CloudLayer;
 pub use light::{Light, PhaseFunction, SunDepth};
 pub use maps::{MapFiles, MapKind, MapsDocument};
 pub use night::{Moon, Stars};
+pub use scattering::{FITTED, FittedScattering, Scattering};
 pub use sky::{
     AnalyticAtmosphere, Atmosphere, FLAT_RADIUS_M, PhysicalAtmosphere, Planet, Sun,
     UniformAtmosphere, Wind,

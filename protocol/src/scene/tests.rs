@@ -40,7 +40,7 @@ fn the_default_document_is_pinned() {
         }],
         "light": {
             "phase": {"model": "hg-draine", "droplet_diameter_um": 20.0},
-            "octaves": 4, "octave_attenuation": 0.5, "octave_contribution": 0.5,
+            "scattering": "fitted", "octaves": 4, "octave_attenuation": 0.5, "octave_contribution": 0.5,
             "octave_eccentricity": 0.5, "sun_steps": 6, "sun_depth": "cone", "sun_march_distance_m": 1500.0,
             "ambient": 1.0
         },
@@ -192,6 +192,10 @@ fn each_kind_of_bad_document_is_refused_where_it_is_wrong() {
         (
             json!({"version": 1, "light": {"octaves": -1}}),
             "/light/octaves",
+        ),
+        (
+            json!({"version": 1, "light": {"scattering": "octave"}}),
+            "/light/scattering",
         ),
         (json!({"version": 1, "wind": null}), "/wind"),
         (json!({"version": 1, "exposure_ev": 31}), "/exposure_ev"),

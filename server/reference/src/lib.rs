@@ -22,6 +22,7 @@ pub mod phase;
 pub mod picture;
 mod ray;
 mod result;
+pub mod scattering;
 pub mod shell;
 pub mod sky;
 mod texture;

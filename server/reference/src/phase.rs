@@ -123,6 +123,12 @@ impl Phase {
             + self.draine_weight * draine_mean_cosine(self.g_draine, self.alpha)
     }
 
+    /// 1 − mean cosine: by how much less a cloud counts for light that was scattered often.
+    #[must_use]
+    pub fn transport_share(&self) -> f64 {
+        1.0 - self.mean_cosine()
+    }
+
     /// x = 1 − µ of a scattered direction, exactly distributed. Draine's part takes HG's directions with probability
     /// (1 + α µ²) / (1 + α), at least a third of them. `random` gives even numbers in [0, 1).
     pub fn sample(&self, mut random: impl FnMut() -> f64) -> f64 {

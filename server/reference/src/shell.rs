@@ -81,6 +81,15 @@ impl Globe {
         }
     }
 
+    /// Unit vector straight up at a place.
+    #[must_use]
+    pub fn up(&self, position_m: DVec3) -> DVec3 {
+        match self {
+            Self::Flat => DVec3::Y,
+            Self::Sphere { radius_m } => (position_m + DVec3::Y * *radius_m).normalize(),
+        }
+    }
+
     /// How fast altitude grows along a ray at a distance, m per m.
     #[must_use]
     pub fn climb(&self, ray: &Ray, distance_m: f64) -> f64 {

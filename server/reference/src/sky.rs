@@ -270,7 +270,12 @@ impl SkyLight {
         let at_ground =
             light.sun_irradiance * each(light.sun_column, |x| (-x).exp()) * visible(0.0);
         let irradiance = at_ground * mu_sun.max(0.0) + PI * light.mean_radiance;
-        light.ground_radiance = scene.planet().ground_albedo() / PI * irradiance;
+        light.ground_radiance = if scene.planet().is_flat() {
+            // Nothing lies below: the sky goes on there.
+            light.mean_radiance
+        } else {
+            scene.planet().ground_albedo() / PI * irradiance
+        };
         light
     }
 

@@ -244,7 +244,12 @@ fn light_of(
     light.mean_radiance = hemisphere_mean(|direction| light.radiance(radius_m, direction));
     let at_ground = light.sun_irradiance * light.sun_column_kept * visible(0.0);
     let ground_irradiance = at_ground * mu_sun.max(0.0) + PI * light.mean_radiance;
-    light.ground_radiance = scene.planet().ground_albedo() * FRAC_1_PI * ground_irradiance;
+    light.ground_radiance = if scene.planet().is_flat() {
+        // Nothing lies below: what clouds get from there is sky.
+        light.mean_radiance
+    } else {
+        scene.planet().ground_albedo() * FRAC_1_PI * ground_irradiance
+    };
     light
 }
 

@@ -7,7 +7,9 @@ use crate::gpu::{PlacedSheet, PlacedWeather};
 use glam::DVec3;
 use skycell_protocol::Scene;
 use skycell_protocol::camera::POSITION_ALTITUDE_M;
-use skycell_protocol::scene::{CloudLayer, DensityModel, PhaseFunction, Shape};
+use skycell_protocol::scene::{
+    CloudLayer, DensityModel, FITTED, Light, PhaseFunction, Scattering, Shape,
+};
 use skycell_shaders::{Density, Features, layout};
 
 /// Factor from radiance (per unit of the sun's spectral irradiance in W/(m² nm)) to the tone curve at 0 EV.
@@ -109,7 +111,11 @@ pub fn layer_features(scene: &Scene, scene_index: usize, settings: &MarchSetting
     let octaves = settings.octaves.unwrap_or(scene.light().octaves());
     let layer = scene.layers().get(scene_index);
     Features {
-        octave_vectors: octaves.div_ceil(4),
+        // The fitted model has one octave beside single scattering.
+        octave_vectors: match scene.light().scattering() {
+            Scattering::Fitted => 1,
+            Scattering::Octaves => octaves.div_ceil(4),
+        },
         density: match layer.map(CloudLayer::density) {
             Some(DensityModel::Weather(_)) => Density::Weather,
             Some(DensityModel::Grid(_)) => Density::Grid,
@@ -226,6 +232,74 @@ fn powers(base: f64, octaves: u32, beyond: f64) -> [[f32; 4]; 4] {
     rows
 }
 
+/// Octaves as shaders read them: how many, and their factors a^i, b^i and c^i.
+fn octave_tables(light: &Light, octaves: u32) -> (u32, [[[f32; 4]; 4]; 3]) {
+    // A huge attenuation silences the unused components of the last vector.
+    const SILENT: f64 = 1e6;
+    let (octaves, [a, b, c]) = if light.scattering() == Scattering::Octaves || octaves == 1 {
+        let factors = [
+            light.octave_attenuation(),
+            light.octave_contribution(),
+            light.octave_eccentricity(),
+        ];
+        (octaves, factors)
+    } else {
+        // The attenuation is one per transport share of the layer, which the shader multiplies.
+        let factors = [
+            FITTED.forward_attenuation,
+            FITTED.forward_strength,
+            FITTED.forward_eccentricity,
+        ];
+        (2, factors)
+    };
+    let tables = [
+        powers(a, octaves, SILENT),
+        powers(b, octaves, 0.0),
+        powers(c, octaves, 0.0),
+    ];
+    (octaves, tables)
+}
+
+/// Samples of each way that measures what is around a ray's light.
+const SURROUNDINGS_SAMPLES: u32 = 4;
+
+/// Light that is scattered many times; nothing is measured for what the scene does not ask for.
+fn diffusion(light: &Light, octaves: u32, ambient: f32) -> layout::Diffusion {
+    let strength = if light.scattering() == Scattering::Fitted && octaves > 1 {
+        FITTED.diffuse_strength as f32
+    } else {
+        0.0
+    };
+    let asked = strength > 0.0 || ambient > 0.0;
+    layout::Diffusion {
+        strength,
+        eccentricity: FITTED.diffuse_eccentricity as f32,
+        slope: FITTED.diffuse_slope as f32,
+        thickness: FITTED.diffuse_thickness as f32,
+        leak: FITTED.diffuse_leak as f32,
+        width: FITTED.diffuse_width as f32,
+        sky_slope: FITTED.sky_slope as f32,
+        sky_thinness: FITTED.sky_thinness as f32,
+        sky_forward: FITTED.sky_forward as f32,
+        samples: if asked { SURROUNDINGS_SAMPLES } else { 0 },
+        ..Default::default()
+    }
+}
+
+/// 1 − mean cosine of a phase: HG's is g, Draine's that of eq. 5 of B. Draine 2003.
+fn transport_share(phase: &layout::Phase) -> f64 {
+    let [g_hg, g, alpha, weight] = [
+        phase.g_hg,
+        phase.g_draine,
+        phase.alpha_draine,
+        phase.draine_weight,
+    ]
+    .map(f64::from);
+    let draine =
+        g * (1.0 + alpha * (3.0 + 2.0 * g * g) / 5.0) / (1.0 + alpha * (1.0 + 2.0 * g * g) / 3.0);
+    1.0 - (1.0 - weight) * g_hg - weight * draine
+}
+
 fn f32s(v: DVec3) -> [f32; 3] {
     v.as_vec3().to_array()
 }
@@ -248,6 +322,14 @@ pub fn scene_uniform(
     anchors: &[DVec3],
 ) -> layout::Scene {
     let octaves = settings.octaves.unwrap_or(scene.light().octaves());
+    let ambient = if settings.ambient {
+        scene.light().ambient() as f32
+    } else {
+        0.0
+    };
+    let diffusion = diffusion(scene.light(), octaves, ambient);
+    let (octaves, [octave_attenuation, octave_contribution, octave_eccentricity]) =
+        octave_tables(scene.light(), octaves);
     let mut uniform = layout::Scene {
         planet: layout::Planet {
             radius_m: scene.planet().radius_m() as f32,
@@ -284,15 +366,11 @@ pub fn scene_uniform(
             octaves,
             sun_steps: settings.sun_steps.unwrap_or(scene.light().sun_steps()),
             sun_march_distance_m: scene.light().sun_march_distance_m() as f32,
-            // A huge attenuation silences the unused components of the last vector.
-            octave_attenuation: powers(scene.light().octave_attenuation(), octaves, 1e6),
-            octave_contribution: powers(scene.light().octave_contribution(), octaves, 0.0),
-            octave_eccentricity: powers(scene.light().octave_eccentricity(), octaves, 0.0),
-            ambient: if settings.ambient {
-                scene.light().ambient() as f32
-            } else {
-                0.0
-            },
+            octave_attenuation,
+            octave_contribution,
+            octave_eccentricity,
+            diffusion,
+            ambient,
         },
         ..Default::default()
     };
@@ -384,6 +462,7 @@ fn layer_uniform(
         .get(active.scene_index)
         .copied()
         .unwrap_or(0);
+    let phase = phase_uniform(scene.layer_phase(active.scene_index));
     let mut uniform = layout::Layer {
         base_altitude_m: layer.base_altitude_m() as f32,
         top_altitude_m: layer.top_altitude_m() as f32,
@@ -410,7 +489,8 @@ fn layer_uniform(
             0.0
         },
         lights_empty_steps: u32::from(!settings.low_density_skip),
-        phase: phase_uniform(scene.layer_phase(active.scene_index)),
+        transport_share: transport_share(&phase) as f32,
+        phase,
         ..Default::default()
     };
     if let Some([min_m, max_m]) = bounds_m(layer.density()) {

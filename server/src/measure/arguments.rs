@@ -1,6 +1,7 @@
 //! What `skycell-server measure` is asked for.
 
 use super::metrics::COMPARED_SIDE_MIN;
+use super::octaves::OctavesArguments;
 use super::plan::{Axis, Extent};
 use super::reference::{ReferenceSource, TruthInputs};
 use crate::render_command::{Folders, read_scene, triple};
@@ -35,6 +36,9 @@ pub enum Measurement {
                       --size 192x108 --pair-size 96x54 --only haze,storm --out /tmp/gallery"
     )]
     Gallery(Box<GalleryArguments>),
+    /// How far the light that clouds scatter more than once is from the path tracer's, over shapes from thin to thick.
+    #[command(after_help = "Example: skycell-server measure octaves --fit")]
+    Octaves(OctavesArguments),
 }
 
 /// What `measure gallery` is asked for.

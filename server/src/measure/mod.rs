@@ -7,6 +7,7 @@ mod arguments;
 pub mod front;
 mod gallery;
 pub mod metrics;
+pub mod octaves;
 pub mod plan;
 pub mod progress;
 pub mod quality;
@@ -29,5 +30,6 @@ pub fn run(arguments: &MeasureArguments) -> anyhow::Result<()> {
     match &arguments.what {
         Measurement::Trade(trade) => trade::run(trade),
         Measurement::Gallery(gallery) => gallery::run(gallery),
+        Measurement::Octaves(arguments) => octaves::run(arguments),
     }
 }

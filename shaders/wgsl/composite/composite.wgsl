@@ -87,6 +87,7 @@ struct OrderedLayer {
 #else
     air_extinction_per_m: vec3f,
 #endif
+    albedo: f32,
 #ifdef OWN_PHASES
     phase_per_sr: f32,
 #endif
@@ -116,6 +117,7 @@ fn ordered_layer(world: Scene, eye: View, back: Background, layer: Layer, table:
 #else
     ordered.air_extinction_per_m = layer.air_extinction_per_m;
 #endif
+    ordered.albedo = layer.single_scattering_albedo;
 #ifdef OWN_PHASES
     ordered.phase_per_sr = sun_phase_per_sr(world, layer.phase, ray);
 #endif
@@ -158,6 +160,7 @@ fn chosen(a: OrderedLayer, b: OrderedLayer, second: bool) -> OrderedLayer {
 #else
     result.air_extinction_per_m = select(a.air_extinction_per_m, b.air_extinction_per_m, second);
 #endif
+    result.albedo = select(a.albedo, b.albedo, second);
 #ifdef OWN_PHASES
     result.phase_per_sr = select(a.phase_per_sr, b.phase_per_sr, second);
 #endif
@@ -173,9 +176,9 @@ fn over(world: Scene, back: Background, layer: OrderedLayer, shared_phase_per_sr
     let phase = shared_phase_per_sr;
 #endif
 #ifdef PHYSICAL_SKY
-    return layer_in_air_over(world, layer.haze, layer.sun_irradiance, phase, behind, layer.cloud);
+    return layer_in_air_over(world, layer.haze, layer.sun_irradiance, phase, behind, layer.cloud, layer.albedo);
 #else
-    return layer_over(world, back, phase, behind, layer.cloud, layer.air_extinction_per_m);
+    return layer_over(world, back, phase, behind, layer.cloud, layer.air_extinction_per_m, layer.albedo);
 #endif
 }
 

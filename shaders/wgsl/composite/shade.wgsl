@@ -137,6 +137,13 @@ fn sun_phase_per_sr(world: Scene, phase: Phase, ray: Ray) -> f32 {
     return phase_over_disc_per_sr(phase, 1.0, ray.angle, world.sun.one_minus_mu_disc);
 }
 
+/// Light of sky and ground that a cloud of an albedo scatters. An even light from all around would be scattered by all of
+/// the opacity: what is not the sky's is the ground's.
+fn around_radiance(world: Scene, cloud: LayerRadiance, albedo: f32) -> vec3f {
+    let from_below = max(albedo * world.light.ambient * (1.0 - cloud.transmittance) - cloud.ambient, 0.0);
+    return world.sky.mean_radiance * cloud.ambient + world.sky.ground_radiance * from_below;
+}
+
 #ifdef PHYSICAL_SKY
 /// Air in front of a cloud at about a distance.
 fn haze_of_layer(back: Background, distance_m: f32) -> Haze {
@@ -154,10 +161,10 @@ fn sun_on_cloud(world: Scene, layer: Layer, cloud: LayerRadiance, ray: Ray) -> v
 }
 
 /// As layer_over, with haze from the tables and the sun's light where the cloud is seen.
-fn layer_in_air_over(world: Scene, haze: Haze, sun_irradiance: vec3f, sun_phase_per_sr: f32, behind: vec3f, cloud: LayerRadiance) -> vec3f {
+fn layer_in_air_over(world: Scene, haze: Haze, sun_irradiance: vec3f, sun_phase_per_sr: f32, behind: vec3f, cloud: LayerRadiance, albedo: f32) -> vec3f {
     let opacity = 1.0 - cloud.transmittance;
     let sunlit = sun_irradiance * (sun_phase_per_sr * cloud.single + cloud.octaves);
-    let lit = sunlit + world.sky.mean_radiance * cloud.ambient;
+    let lit = sunlit + around_radiance(world, cloud, albedo);
     let through_m = max(distance_seen_m(cloud.opacity_distance_m, cloud.transmittance) - haze.start_m, 0.0);
     let kept = exp(-through_m * haze.extinction_per_m);
     let added = world.sun.irradiance * haze.source_per_sr * (vec3f(1.0) - kept);
@@ -166,11 +173,12 @@ fn layer_in_air_over(world: Scene, haze: Haze, sun_irradiance: vec3f, sun_phase_
 #endif
 
 /// One layer over what lies behind it. Clouds are stored premultiplied by their opacity: the haze in front of them is
-/// weighted by the same opacity, so edges are dimmed once only. air_extinction_per_m: mean along the way to the layer.
-fn layer_over(world: Scene, back: Background, sun_phase_per_sr: f32, behind: vec3f, cloud: LayerRadiance, air_extinction_per_m: vec3f) -> vec3f {
+/// weighted by the same opacity, so edges are dimmed once only. air_extinction_per_m: mean along the way to the layer;
+/// albedo: the layer's.
+fn layer_over(world: Scene, back: Background, sun_phase_per_sr: f32, behind: vec3f, cloud: LayerRadiance, air_extinction_per_m: vec3f, albedo: f32) -> vec3f {
     let opacity = 1.0 - cloud.transmittance;
     let sunlit = world.sun.irradiance_at_clouds * (sun_phase_per_sr * cloud.single + cloud.octaves);
-    let lit = sunlit + world.sky.mean_radiance * cloud.ambient;
+    let lit = sunlit + around_radiance(world, cloud, albedo);
     let kept = exp(-distance_seen_m(cloud.opacity_distance_m, cloud.transmittance) * air_extinction_per_m);
     let share = saturate((vec3f(1.0) - kept) * back.air_share);
     return lit * kept + back.air * share * opacity + behind * cloud.transmittance;

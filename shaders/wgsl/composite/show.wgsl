@@ -23,7 +23,7 @@ fn isotropic_per_sr(world: Scene, phase: Phase, ray: Ray) -> f32 {
 }
 
 /// As layer_over, of one part of the light alone and without haze in front.
-fn part_over(world: Scene, back: Background, sun_phase_per_sr: f32, behind: vec3f, cloud: LayerRadiance, air_extinction_per_m: vec3f) -> vec3f {
+fn part_over(world: Scene, back: Background, sun_phase_per_sr: f32, behind: vec3f, cloud: LayerRadiance, air_extinction_per_m: vec3f, albedo: f32) -> vec3f {
     var part = LayerRadiance(0.0, 0.0, 0.0, cloud.transmittance, 0.0);
 #ifdef SHOW_SINGLE
     part.single = cloud.single;
@@ -34,9 +34,15 @@ fn part_over(world: Scene, back: Background, sun_phase_per_sr: f32, behind: vec3
 #ifdef SHOW_AMBIENT
     part.ambient = cloud.ambient;
 #endif
+    // What the ground adds belongs to the ambient part.
+#ifdef SHOW_AMBIENT
+    let below = albedo;
+#else
+    let below = 0.0;
+#endif
     var clear = back;
     clear.air = vec3f(0.0);
-    return layer_over(world, clear, sun_phase_per_sr, behind, part, vec3f(0.0));
+    return layer_over(world, clear, sun_phase_per_sr, behind, part, vec3f(0.0), below);
 }
 
 /// What is nothing yet: no cloud seen, all let through, no value of the cache.
@@ -46,7 +52,7 @@ fn no_values(world: Scene, back: Background, ray: Ray) -> vec3f {
 
 /// Values of a layer over those of what is behind: distance times opacity, m; transmittance; value of the cache, which is
 /// that of the layer that shows most, the nearer of two that show alike.
-fn values_over(world: Scene, back: Background, sun_phase_per_sr: f32, behind: vec3f, cloud: LayerRadiance, air_extinction_per_m: vec3f) -> vec3f {
+fn values_over(world: Scene, back: Background, sun_phase_per_sr: f32, behind: vec3f, cloud: LayerRadiance, air_extinction_per_m: vec3f, albedo: f32) -> vec3f {
     let opacity_distance_m = max(cloud.opacity_distance_m - CLEAR_OPACITY * distance_seen_m(cloud.opacity_distance_m, cloud.transmittance), 0.0);
     return vec3f(
         opacity_distance_m + behind.x * cloud.transmittance,

@@ -3,6 +3,7 @@
 #import skycell::shell::{altitude_m, layer_intervals}
 #import skycell::transport::one_minus_exp_over
 #import skycell::phase::{one_minus_mu, phase_per_sr}
+#import skycell::scattering::{Diffusion, Surroundings, diffuse_share, sky_share}
 #ifdef DENSITY_WEATHER
 #import skycell::density::{map_texel, dimensional_profile, carved_density, smooth_density}
 #else
@@ -67,6 +68,7 @@ struct RayScene {
     sun_direction: vec3f,
     sun_steps: u32,
     sun_march_distance_m: f32,
+    diffusion: Diffusion,
 #ifdef SUN_VOLUME
     /// The sun volume of the ray's layer, and of the others.
     sun_own: SunLayer,
@@ -88,6 +90,7 @@ fn ray_scene(layer_index: u32) -> RayScene {
     ray.sun_direction = scene.sun.direction;
     ray.sun_steps = scene.light.sun_steps;
     ray.sun_march_distance_m = scene.light.sun_march_distance_m;
+    ray.diffusion = scene.light.diffusion;
 #ifdef SUN_VOLUME
     ray.sun_own = sun_layer(layer_index);
 #if SUN_LAYERS > 1
@@ -103,6 +106,14 @@ fn ray_scene(layer_index: u32) -> RayScene {
     return ray;
 }
 
+/// Factor of the sun's optical depth in an octave's four components: as the document has it, or per transport share where
+/// constants are fitted.
+fn attenuation_of(ray: RayScene, layer: Layer, factors: vec4f, vector: u32) -> vec4f {
+    let scale = select(1.0, layer.transport_share, ray.diffusion.strength > 0.0);
+    let scaled = min(factors * scale, vec4f(1.0));
+    return select(scaled, vec4f(1.0, scaled.yzw), vector == 0u);
+}
+
 /// Length of a step at a distance from the ray's origin, m: step_min_m, and in proportion to the distance beyond.
 fn step_length_m(layer: Layer, distance_m: f32) -> f32 {
     return max(layer.step_min_m, distance_m * layer.step_per_distance);
@@ -111,12 +122,6 @@ fn step_length_m(layer: Layer, distance_m: f32) -> f32 {
 // Every ray samples at steps whose count from its origin has the same fraction, wherever cloud begins and however far
 // empty space was skipped. Samples of one texel with other fractions then interleave to one march with as many times
 // finer steps, and their mean hardly differs from texel to texel; free-running samples are noise.
-
-/// Share of the sky's mean radiance that a place sees: deep inside and low in a cloud it is less. Tuned; replaced when
-/// ambient light is measured.
-fn ambient_share(height_fraction: f32, profile: f32, density: f32) -> f32 {
-    return (0.3 + 0.7 * height_fraction) * sqrt(saturate(1.0 - 0.75 * profile * density));
-}
 
 /// Steps from the ray's origin to a distance.
 fn steps_at(layer: Layer, distance_m: f32) -> f32 {
@@ -204,6 +209,20 @@ fn sheet_sun_length_m(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
     let second_m = way.second_end_m - way.second_start_m;
     return min(max(select(second_m, first_m, first_m > 0.0), 0.0), ray.sun_march_distance_m);
 }
+
+/// How much of a sheet is around a point of it: it goes on as it is there. samples: 0 where nobody asks.
+fn surroundings(ray: RayScene, layer: Layer, position: vec3f, up: vec3f, samples: u32) -> Surroundings {
+    let per_m = select(0.0, sheet_density(layer, position.xz) * layer.extinction_per_m, samples > 0u);
+    let away = layer_intervals(ray.planet_radius_m, false, layer.base_altitude_m, layer.top_altitude_m, position, -ray.sun_direction);
+    let behind_m = min(max(away.first_end_m - away.first_start_m, 0.0), 2.0 * ray.sun_march_distance_m);
+    let altitude = clamp(altitude_m(ray.planet_radius_m, position), layer.base_altitude_m, layer.top_altitude_m);
+    return Surroundings(
+        per_m * behind_m,
+        per_m * (layer.top_altitude_m - altitude),
+        per_m * (altitude - layer.base_altitude_m),
+        per_m * 4.0 * ray.sun_march_distance_m,
+    );
+}
 #else
 /// Optical depth from a point towards the sun. By the cone: within the point's layer, by sun_steps samples in the middles
 /// of quadratically growing parts. By the volume: of all layers and to their ends, the first part by samples and the rest
@@ -231,6 +250,32 @@ fn sun_optical_depth(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
     }
     return sum_m * layer.extinction_per_m + beyond;
 }
+
+/// How much cloud is around a point: five ways in one loop, which keeps the code as short as one. samples: of each way, in
+/// the middles of parts that grow with the square of their number.
+fn surroundings(ray: RayScene, layer: Layer, position: vec3f, up: vec3f, samples: u32) -> Surroundings {
+    let across = cross(ray.sun_direction, up);
+    let across_squared = dot(across, across);
+    // Under a sun in the zenith any horizontal way will do.
+    let side = select(vec3f(1.0, 0.0, 0.0), across * inverseSqrt(max(across_squared, 1e-6)), across_squared > 1e-6);
+    var depths = vec4f(0.0);
+    for (var i = 0u; i < 5u * samples; i += 1u) {
+        let way = i % 5u;
+        var direction = select(-side, side, way == 3u);
+        direction = select(direction, -ray.sun_direction, way == 0u);
+        direction = select(direction, up, way == 1u);
+        direction = select(direction, -up, way == 2u);
+        // Clouds are wider than they are high.
+        let reach_m = ray.sun_march_distance_m * select(2.0, 1.0, way == 1u || way == 2u);
+        let near = f32(i / 5u) / f32(samples);
+        let far = f32(i / 5u + 1u) / f32(samples);
+        let middle_m = 0.5 * (near * near + far * far) * reach_m;
+        let length_m = (far * far - near * near) * reach_m;
+        let depth = sun_density(ray.planet_radius_m, layer, position + direction * middle_m) * length_m * layer.extinction_per_m;
+        depths += select(vec4f(0.0), vec4f(depth), vec4<bool>(way == 0u, way == 1u, way == 2u, way >= 3u));
+    }
+    return Surroundings(depths.x, depths.y, depths.z, depths.w);
+}
 #endif
 
 #ifdef DENSITY_CIRRUS
@@ -247,10 +292,11 @@ fn sheet_samples(length_m: f32, across: f32) -> f32 {
 /// One ray through a thin sheet: a few samples where it is met, no march. start_fraction in 0...1 as in the other march_layer.
 fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction: f32) -> LayerRadiance {
     let ray = ray_scene(layer_index);
-    var octave_attenuation: array<vec4f, #{OCTAVE_VECTORS}>;
-    for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_attenuation[k] = scene.light.octave_attenuation[k]; }
     let layer = scene.layers[layer_index];
-    let thickness_m = max(layer.top_altitude_m - layer.base_altitude_m, 1e-3);
+    var octave_attenuation: array<vec4f, #{OCTAVE_VECTORS}>;
+    for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) {
+        octave_attenuation[k] = attenuation_of(ray, layer, scene.light.octave_attenuation[k], k);
+    }
     let intervals = layer_intervals(ray.planet_radius_m, scene.planet.has_ground > 0.0, layer.base_altitude_m, layer.top_altitude_m, origin, direction);
     let across = length(direction.xz);
     let lengths_m = max(vec2f(intervals.first_end_m - intervals.first_start_m, intervals.second_end_m - intervals.second_start_m), vec2f(0.0));
@@ -258,7 +304,9 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
     let layer_distance_m = 0.5 * select(intervals.second_start_m + intervals.second_end_m, intervals.first_start_m + intervals.first_end_m, lengths_m.x > 0.0);
 
     var transmittance = 1.0;
-    var ambient = 0.0;
+    // What the lit samples weigh: the opacity, with all digits where it is small.
+    var shown = 0.0;
+    var weighted_sun_depth = 0.0;
     var weighted_distance_m = 0.0;
     var octave_sums: array<vec4f, #{OCTAVE_VECTORS}>;
     for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_sums[k] = vec4f(0.0); }
@@ -281,22 +329,28 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) {
             octave_sums[k] += weight * exp(-octave_attenuation[k] * sun_depth);
         }
-        let height_fraction = saturate((altitude_m(ray.planet_radius_m, position) - layer.base_altitude_m) / thickness_m);
-        ambient += weight * ambient_share(height_fraction, density, density);
+        shown += weight;
+        weighted_sun_depth += weight * sun_depth;
         weighted_distance_m += weight * distance_m;
         transmittance *= exp(-optical_depth);
 #ifdef RAY_LIST
         optical_depth_seen += optical_depth;
 #endif
     }
-    return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, ambient, transmittance, weighted_distance_m + CLEAR_OPACITY * layer_distance_m);
+    // Light that was scattered often hardly changes along what a ray sees of a cloud: once per ray, where its light comes
+    // from on the mean. Rays without cloud take no sample.
+    let share = 1.0 / max(shown, 1e-30);
+    let middle = origin + direction * (weighted_distance_m * share);
+    let up = normalize(vec3f(middle.x, middle.y + ray.planet_radius_m, middle.z));
+    let around = surroundings(ray, layer, middle, up, select(0u, ray.diffusion.samples, shown > 0.0));
+    let diffuse = shown * diffuse_share(ray.diffusion, layer.transport_share, weighted_sun_depth * share, dot(ray.sun_direction, up), around);
+    let sky = shown * sky_share(ray.diffusion, layer.transport_share, around, dot(direction, up));
+    return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, diffuse, sky, transmittance, weighted_distance_m + CLEAR_OPACITY * layer_distance_m);
 }
 #else
 /// Marches one ray through one layer. start_fraction in 0...1 shifts the samples by that share of a step.
 fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction: f32) -> LayerRadiance {
     let ray = ray_scene(layer_index);
-    var octave_attenuation: array<vec4f, #{OCTAVE_VECTORS}>;
-    for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_attenuation[k] = scene.light.octave_attenuation[k]; }
 #ifdef WINDOW
     var layer = scene.layers[layer_index];
     layer.step_min_m *= step_scale;
@@ -308,6 +362,10 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
 #else
     let layer = scene.layers[layer_index];
 #endif
+    var octave_attenuation: array<vec4f, #{OCTAVE_VECTORS}>;
+    for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) {
+        octave_attenuation[k] = attenuation_of(ray, layer, scene.light.octave_attenuation[k], k);
+    }
     let thickness_m = max(layer.top_altitude_m - layer.base_altitude_m, 1e-3);
     let has_ground = scene.planet.has_ground > 0.0;
     let intervals = layer_intervals(ray.planet_radius_m, has_ground, layer.base_altitude_m, layer.top_altitude_m, origin, direction);
@@ -340,7 +398,9 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
 #endif
 
     var transmittance = 1.0;
-    var ambient = 0.0;
+    // What the lit samples weigh: the opacity, with all digits where it is small.
+    var shown = 0.0;
+    var weighted_sun_depth = 0.0;
     var weighted_distance_m = 0.0;
     var octave_sums: array<vec4f, #{OCTAVE_VECTORS}>;
     for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_sums[k] = vec4f(0.0); }
@@ -420,7 +480,6 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
             altitude = altitude_m(ray.planet_radius_m, position);
             height_fraction = saturate((altitude - layer.base_altitude_m) / thickness_m);
             density = bounded_density(layer, position, altitude);
-            profile = density;
 #ifdef WINDOW
             if (density > 0.0 || lights_empty) && (share < 1.0 || refinement <= 1.0) { break; }
             probes += 1u;
@@ -452,7 +511,8 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) {
             octave_sums[k] += weight * exp(-octave_attenuation[k] * sun_depth);
         }
-        ambient += weight * ambient_share(height_fraction, profile, density);
+        shown += weight;
+        weighted_sun_depth += weight * sun_depth;
         weighted_distance_m += weight * distance_m;
         transmittance *= exp(-optical_depth);
 #ifdef RAY_LIST
@@ -468,12 +528,20 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         if transmittance < layer.transmittance_min { break; }
     }
 
-    return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, ambient, transmittance, weighted_distance_m + CLEAR_OPACITY * layer_distance_m);
+    // Light that was scattered often hardly changes along what a ray sees of a cloud: once per ray, where its light comes
+    // from on the mean. Rays without cloud take no sample.
+    let share = 1.0 / max(shown, 1e-30);
+    let middle = origin + direction * (weighted_distance_m * share);
+    let up = normalize(vec3f(middle.x, middle.y + ray.planet_radius_m, middle.z));
+    let around = surroundings(ray, layer, middle, up, select(0u, ray.diffusion.samples, shown > 0.0));
+    let diffuse = shown * diffuse_share(ray.diffusion, layer.transport_share, weighted_sun_depth * share, dot(ray.sun_direction, up), around);
+    let sky = shown * sky_share(ray.diffusion, layer.transport_share, around, dot(direction, up));
+    return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, diffuse, sky, transmittance, weighted_distance_m + CLEAR_OPACITY * layer_distance_m);
 }
 #endif
 
 /// Sums of a ray with albedo, phases and the factor of ambient light. angle: 1 - cos of that to the sun.
-fn gathered(layer: Layer, angle: f32, octave_sums: array<vec4f, #{OCTAVE_VECTORS}>, ambient: f32, transmittance: f32, opacity_distance_m: f32) -> LayerRadiance {
+fn gathered(layer: Layer, angle: f32, octave_sums: array<vec4f, #{OCTAVE_VECTORS}>, diffuse: f32, sky: f32, transmittance: f32, opacity_distance_m: f32) -> LayerRadiance {
     var sums = octave_sums;
     var result: LayerRadiance;
     let albedo = layer.single_scattering_albedo;
@@ -484,7 +552,8 @@ fn gathered(layer: Layer, angle: f32, octave_sums: array<vec4f, #{OCTAVE_VECTORS
         let phase = phase_per_sr(layer.phase, scene.light.octave_eccentricity[i / 4u][i % 4u], angle);
         result.octaves += albedo * contribution * phase * sums[i / 4u][i % 4u];
     }
-    result.ambient = albedo * scene.light.ambient * ambient;
+    result.octaves += albedo * diffuse * phase_per_sr(layer.phase, scene.light.diffusion.eccentricity, angle);
+    result.ambient = albedo * scene.light.ambient * sky;
     result.transmittance = transmittance;
     result.opacity_distance_m = opacity_distance_m;
     return result;

@@ -119,7 +119,7 @@ fn probe_field(@builtin(global_invocation_id) id: vec3u) {
             let back = background(world, a.xyz, altitude, b.xyz);
             let ray = pixel_ray(world, a.xyz, altitude, b.xyz);
             let cloud = LayerRadiance(c.x, c.y, c.z, c.w, b.w);
-            value = vec4f(layer_over(world, back, sun_phase_per_sr(world, layer.phase, ray), d.xyz, cloud, layer.air_extinction_per_m), 0.0);
+            value = vec4f(layer_over(world, back, sun_phase_per_sr(world, layer.phase, ray), d.xyz, cloud, layer.air_extinction_per_m, layer.single_scattering_albedo), 0.0);
         }
         // The tone curves of a.xyz; b.x says which.
         case 11u: {

@@ -1,4 +1,5 @@
 #define_import_path skycell::scene
+#import skycell::scattering::Diffusion
 
 // Everything that the shaders know of the scene, in the frame of one cell: origin at the ground point of the cell, y up,
 // metres. The Rust side of each struct is in `skycell_shaders::layout`; a test compares names, offsets and sizes.
@@ -76,6 +77,8 @@ struct Light {
     octave_attenuation: array<vec4f, 4>,
     octave_contribution: array<vec4f, 4>,
     octave_eccentricity: array<vec4f, 4>,
+    /// What is scattered many times.
+    diffusion: Diffusion,
 }
 
 /// One cloud layer. Offsets are fractions of a period, reduced in f64 on the CPU, so that time and place never cost
@@ -139,6 +142,8 @@ struct Layer {
     dome: f32,
     /// Share of wispy noise above the base, 0...1.
     wispiness: f32,
+    /// 1 - mean cosine of the phase.
+    transport_share: f32,
     /// Spectral irradiance of the sun at the layer's base, on a surface that faces it, and how it grows with the share f of
     /// the layer's height: base + f (slope + f curve).
     sun_at_base: vec3f,

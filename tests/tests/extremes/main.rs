@@ -14,6 +14,7 @@ mod octaves;
 mod phase;
 mod place;
 mod planted;
+mod scattering;
 mod sheets;
 mod shells;
 mod stage;
@@ -30,7 +31,7 @@ use stage::{Stage, stage};
 type Run = fn(&mut Stage) -> Line;
 
 /// How many cases each line has.
-const CASES: [(Run, usize); 25] = [
+const CASES: [(Run, usize); 27] = [
     (sun::anywhere, 102),
     (sun::along_the_ray, 8),
     (camera::anywhere, 92),
@@ -56,6 +57,8 @@ const CASES: [(Run, usize); 25] = [
     (sun_volume::anywhere, 32),
     (sun_volume::through_slabs, 33),
     (window::any, 35),
+    (scattering::any, 135),
+    (scattering::furnace, 18),
 ];
 
 fn check(index: usize) {
@@ -103,4 +106,6 @@ lines! {
     the_sun_volume_serves_any_sun_place_and_time = 22;
     the_sun_volume_holds_slabs_and_what_stands_above_them = 23;
     windows_may_turn_cut_rest_and_last = 24;
+    light_that_is_scattered_often_is_the_twins_in_any_cloud = 25;
+    clouds_cannot_be_seen_in_a_furnace = 26;
 }

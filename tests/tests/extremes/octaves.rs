@@ -14,7 +14,7 @@ pub(crate) fn any(stage: &mut Stage) -> Line {
         for factors in 0..8u32 {
             let [a, b, c] = [factors & 1, factors >> 1 & 1, factors >> 2].map(f64::from);
             stage.scene(&slab(
-                json!({"light": {"phase": {"model": "hg", "g": 0.9}, "octaves": octaves,
+                json!({"light": {"phase": {"model": "hg", "g": 0.9}, "scattering": "octaves", "octaves": octaves,
                 "octave_attenuation": a, "octave_contribution": b, "octave_eccentricity": c,
                 "sun_steps": 3, "sun_march_distance_m": 600}}),
             ));
@@ -47,7 +47,7 @@ pub(crate) fn any(stage: &mut Stage) -> Line {
     }
     // The largest value that the cache is ever asked to hold: 15 unscaled octaves of the sharpest phase, towards the sun.
     for g in [0.999, -0.999] {
-        stage.scene(&slab(json!({"sun": {"elevation_deg": 60.0}, "light": {"phase": {"model": "hg", "g": g}, "octaves": 16,
+        stage.scene(&slab(json!({"sun": {"elevation_deg": 60.0}, "light": {"phase": {"model": "hg", "g": g}, "scattering": "octaves", "octaves": 16,
             "octave_attenuation": 0, "octave_contribution": 1, "octave_eccentricity": 1}})));
         for renderer in [SCREEN, CACHED] {
             let mut settings = super::stage::settings(renderer);

@@ -2,7 +2,7 @@
 
 use super::line::Line;
 use super::stage::{Stage, stage};
-use super::{camera, depth, layers, maps, phase, sheets, shells, steps, sun_volume, window};
+use super::{camera, depth, layers, maps, phase, scattering, sheets, shells, steps, sun_volume, window};
 use skycell_shaders::SourceEdit;
 
 /// What is planted where; the text must be there.
@@ -118,6 +118,26 @@ const DEFECTS: [Case; 14] = [
         ),
         "sheets",
         sheets::anywhere,
+    ),
+    (
+        "diffuse light that does not know how thick its cloud is",
+        edit!(
+            "light/scattering.wgsl",
+            "taken * least / (least + light.thickness)",
+            "taken"
+        ),
+        "scattering",
+        scattering::any,
+    ),
+    (
+        "light from below left out",
+        edit!(
+            "composite/shade.wgsl",
+            " + world.sky.ground_radiance * from_below",
+            ""
+        ),
+        "furnace",
+        scattering::furnace,
     ),
     (
         "rays that end after four times their steps",

@@ -141,7 +141,7 @@ pub(crate) fn at_the_ends(stage: &mut Stage) -> Line {
     for octaves in [1, 16] {
         for factor in [0, 1] {
             let scene = weather(
-                json!({"light": {"octaves": octaves, "octave_attenuation": factor,
+                json!({"light": {"scattering": "octaves", "octaves": octaves, "octave_attenuation": factor,
                 "octave_contribution": 1, "octave_eccentricity": 1 - factor}}),
             );
             compare(

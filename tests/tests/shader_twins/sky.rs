@@ -251,6 +251,8 @@ fn a_cloud_hides_what_is_behind_it_once() {
     let given = probe.device.uniform();
     let irradiance = given.sun.irradiance_at_clouds.map(f64::from);
     let mean_radiance = given.sky.mean_radiance.map(f64::from);
+    let ground_radiance = given.sky.ground_radiance.map(f64::from);
+    let even = f64::from(given.layers[0].single_scattering_albedo) * f64::from(given.light.ambient);
     let air_extinction_per_m = given.layers[0].air_extinction_per_m.map(f64::from);
     let points = eyes(12_000);
     let values = probe.ask(FieldQuestion::LayerOver, &points);
@@ -274,7 +276,8 @@ fn a_cloud_hides_what_is_behind_it_once() {
                 let whole = sky.transmittance.to_array()[c];
                 let share = ((1.0 - kept) / (1.0 - whole)).min(1.0);
                 let sunlit = irradiance[c] * (phase * single + octaves);
-                let lit = sunlit + mean_radiance[c] * ambient;
+                let from_below = (even * opacity - ambient).max(0.0);
+                let lit = sunlit + mean_radiance[c] * ambient + ground_radiance[c] * from_below;
                 let air = sky.radiance.to_array()[c];
                 // Planted: opacity counted twice.
                 let lit_seen = if twice { lit * opacity } else { lit };

@@ -1,9 +1,13 @@
 //! Layers over what lies behind them.
 
+use super::CLEAR_OPACITY;
+use super::layer::optical_depth_towards;
 use crate::phase::one_minus_mu;
+use crate::scattering::{SURROUNDINGS_SAMPLES, Surroundings, diffuse_share, sky_share};
 use crate::sky::Haze;
 use crate::{LayerGathered, Ray, RayResult, StandardErrors, World, WorldLayer};
 use glam::DVec3;
+use skycell_protocol::scene::{FITTED, Scattering};
 
 /// Blends what a ray gathered in its layers, given lowest first, over sky or ground.
 ///
@@ -42,6 +46,13 @@ pub(super) fn blended(
             continue;
         };
         let air_extinction_per_m = layer.air_extinction_per_m;
+        // An even light from all around would be scattered by all of the opacity: what is not the sky's is the ground's.
+        let even = if world.settings().approximations.ambient {
+            layer.albedo * world.scene().light().ambient() * (1.0 - cloud.transmittance)
+        } else {
+            0.0
+        };
+        let from_below = (even - cloud.ambient).max(0.0);
         let sun_phase_per_sr = layer.phase.over_disc_per_sr(x, light.sun_one_minus_mu);
         // The sun's colour at the altitude of what is seen.
         let seen_m = ray.at(cloud.distance_seen_m());
@@ -52,7 +63,10 @@ pub(super) fn blended(
             Haze::NONE
         };
         let lit_once = sun_irradiance * (sun_phase_per_sr * cloud.single);
-        let lit = lit_once + sun_irradiance * cloud.octaves + light.mean_radiance * cloud.ambient;
+        let lit = lit_once
+            + sun_irradiance * cloud.octaves
+            + light.mean_radiance * cloud.ambient
+            + light.ground_radiance * from_below;
         let opacity = 1.0 - cloud.transmittance;
         radiance = lit * kept + added * opacity + radiance * cloud.transmittance;
         single = lit_once * kept + single * cloud.transmittance;
@@ -70,60 +84,156 @@ pub(super) fn blended(
     }
 }
 
-/// What the octaves of a ray are made of.
-pub(super) struct Octaves {
-    /// a^i: factors of the sun's optical depth.
+/// The light of a ray's lit samples.
+pub(super) struct Gathering<'a> {
+    world: &'a World,
+    layer: &'a WorldLayer,
+    ray: &'a Ray,
+    one_minus_mu: f64,
+    /// Factors of the sun's optical depth.
     attenuation: Vec<f64>,
-    /// b^i p(θ; c^i), 1/sr, from the second octave on.
+    /// Strength times phase, 1/sr, from the second octave on.
     weight_per_sr: Vec<f64>,
+    sums: Vec<f64>,
+    /// Sums over samples of what they show of their light, and of that times distance and optical depth to the sun.
+    shown: f64,
+    weighted_distance_m: f64,
+    weighted_sun_depth: f64,
 }
 
-impl Octaves {
-    pub(super) fn new(world: &World, layer: &WorldLayer, ray: &Ray) -> Self {
+impl<'a> Gathering<'a> {
+    pub(super) fn new(world: &'a World, layer: &'a WorldLayer, ray: &'a Ray) -> Self {
         let light = world.scene().light();
-        let x = one_minus_mu(ray.direction, world.light().sun_direction);
-        let power = |base: f64, i: u32| base.powi(i as i32);
-        let indices = 0..light.octaves();
+        let one_minus_mu = one_minus_mu(ray.direction, world.light().sun_direction);
+        let phase = |eccentricity| layer.phase.per_sr(eccentricity, one_minus_mu);
+        let (attenuation, weight_per_sr): (Vec<f64>, Vec<f64>) = match light.scattering() {
+            _ if light.octaves() == 1 => (vec![1.0], Vec::new()),
+            Scattering::Octaves => {
+                let power = |base: f64, i: u32| base.powi(i as i32);
+                (
+                    (0..light.octaves())
+                        .map(|i| power(light.octave_attenuation(), i))
+                        .collect(),
+                    (1..light.octaves())
+                        .map(|i| {
+                            power(light.octave_contribution(), i)
+                                * phase(power(light.octave_eccentricity(), i))
+                        })
+                        .collect(),
+                )
+            }
+            Scattering::Fitted => (
+                vec![
+                    1.0,
+                    (FITTED.forward_attenuation * layer.phase.transport_share()).min(1.0),
+                ],
+                vec![FITTED.forward_strength * phase(FITTED.forward_eccentricity)],
+            ),
+        };
         Self {
-            attenuation: indices
-                .clone()
-                .map(|i| power(light.octave_attenuation(), i))
-                .collect(),
-            weight_per_sr: indices
-                .skip(1)
-                .map(|i| {
-                    let eccentricity = power(light.octave_eccentricity(), i);
-                    power(light.octave_contribution(), i) * layer.phase.per_sr(eccentricity, x)
-                })
-                .collect(),
+            world,
+            layer,
+            ray,
+            one_minus_mu,
+            sums: vec![0.0; attenuation.len()],
+            attenuation,
+            weight_per_sr,
+            shown: 0.0,
+            weighted_distance_m: 0.0,
+            weighted_sun_depth: 0.0,
         }
     }
 
-    pub(super) fn sums(&self) -> Vec<f64> {
-        vec![0.0; self.attenuation.len()]
-    }
-
-    /// Adds a part of a ray that shows `weight` of its light, under an optical depth towards the sun.
-    pub(super) fn add(&self, sums: &mut [f64], weight: f64, sun_depth: f64) {
-        for (sum, attenuation) in sums.iter_mut().zip(&self.attenuation) {
+    /// Adds a part of the ray that shows `weight` of its light, at a distance, under an optical depth towards the sun.
+    pub(super) fn add(&mut self, weight: f64, distance_m: f64, sun_depth: f64) {
+        for (sum, attenuation) in self.sums.iter_mut().zip(&self.attenuation) {
             *sum += weight * (-attenuation * sun_depth).exp();
         }
+        self.shown += weight;
+        self.weighted_distance_m += weight * distance_m;
+        self.weighted_sun_depth += weight * sun_depth;
     }
 
-    /// Single scattering without its phase, and all higher octaves with theirs, before the albedo.
-    pub(super) fn single_and_octaves(&self, sums: &[f64]) -> (f64, f64) {
-        let single = sums.first().copied().unwrap_or(0.0);
-        let octaves = sums
+    /// All of it. `around_place` tells what is around a place where a direction is up.
+    pub(super) fn finished(
+        &self,
+        transmittance: f64,
+        optical_depth: f64,
+        layer_distance_m: f64,
+        around_place: impl Fn(DVec3, DVec3) -> Surroundings,
+    ) -> LayerGathered {
+        let (light, layer) = (self.world.scene().light(), self.layer);
+        let mut octaves: f64 = self
+            .sums
             .iter()
             .skip(1)
             .zip(&self.weight_per_sr)
             .map(|(sum, weight)| sum * weight)
             .sum();
-        (single, octaves)
+        let mut ambient = 0.0;
+        let shown_ambient = if self.world.settings().approximations.ambient {
+            light.ambient()
+        } else {
+            0.0
+        };
+        let diffuse = light.scattering() == Scattering::Fitted && light.octaves() > 1;
+        if self.shown > 0.0 && (diffuse || shown_ambient > 0.0) {
+            let transport_share = layer.phase.transport_share();
+            let middle_m = self.ray.at(self.weighted_distance_m / self.shown);
+            let up = self.world.globe().up(middle_m);
+            let around = around_place(middle_m, up);
+            if diffuse {
+                let sun_depth = self.weighted_sun_depth / self.shown;
+                octaves += self.shown
+                    * diffuse_share(
+                        &FITTED,
+                        transport_share,
+                        sun_depth,
+                        self.world.light().sun_direction.dot(up),
+                        &around,
+                    )
+                    * layer
+                        .phase
+                        .per_sr(FITTED.diffuse_eccentricity, self.one_minus_mu);
+            }
+            let rising = self.ray.direction.dot(up);
+            ambient =
+                shown_ambient * self.shown * sky_share(&FITTED, transport_share, &around, rising);
+        }
+        LayerGathered {
+            scene_index: layer.scene_index,
+            single: layer.albedo * self.sums.first().copied().unwrap_or(0.0),
+            octaves: layer.albedo * octaves,
+            ambient: layer.albedo * ambient,
+            transmittance,
+            opacity_distance_m: self.weighted_distance_m + CLEAR_OPACITY * layer_distance_m,
+            optical_depth,
+        }
     }
 }
 
-/// The model's share of the sky's mean radiance that a place in a cloud sees: less low down and deep inside.
-pub(super) fn ambient_share(height_fraction: f64, profile: f64, density: f64) -> f64 {
-    (0.3 + 0.7 * height_fraction) * (1.0 - 0.75 * profile * density).clamp(0.0, 1.0).sqrt()
+/// What is around a place by short marches of [`SURROUNDINGS_SAMPLES`], as coarse as the renderer's: the constants are
+/// fitted with these. Clouds are wider than they are high: ways beside reach twice as far.
+pub(super) fn surroundings(
+    world: &World,
+    layer: &WorldLayer,
+    place_m: DVec3,
+    up: DVec3,
+) -> Surroundings {
+    let sun = world.light().sun_direction;
+    let depth = |way: DVec3, reach: f64| {
+        optical_depth_towards(world, layer, place_m, way, reach, SURROUNDINGS_SAMPLES)
+    };
+    let across = sun.cross(up);
+    let side = if across.length_squared() > 1e-6 {
+        across.normalize()
+    } else {
+        DVec3::X
+    };
+    Surroundings {
+        behind: depth(-sun, 2.0),
+        above: depth(up, 1.0),
+        below: depth(-up, 1.0),
+        beside: depth(side, 2.0) + depth(-side, 2.0),
+    }
 }

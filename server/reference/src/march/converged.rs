@@ -1,8 +1,8 @@
 //! One ray marched until finer steps change nothing.
 
-use super::CLEAR_OPACITY;
-use super::blend::{Octaves, ambient_share, blended};
-use super::layer::{detail_weight, finished, layer_distance_m};
+use super::blend::{Gathering, blended, surroundings};
+use super::layer::{detail_weight, layer_distance_m};
+use super::sheet::sheet_surroundings;
 use crate::error::checked;
 use crate::path::majorant::Majorant;
 use crate::shell::Interval;
@@ -275,42 +275,35 @@ impl<'a> LayerMarch<'a> {
         (length_m * layer.extinction_per_m, evaluations)
     }
 
-    /// Density and dimensional profile, as a ray at a distance sees them.
-    fn sample(&self, position_m: DVec3, distance_m: f64) -> (f64, f64, f64) {
+    /// Density as a ray at a distance sees it.
+    fn sample(&self, position_m: DVec3, distance_m: f64) -> f64 {
         let place = self.world.field_place(self.layer, position_m);
         let height_fraction = self.layer.height_fraction(place.altitude_m).clamp(0.0, 1.0);
         let Medium::Weather(weather) = &self.layer.medium else {
             // Spans are exact: their samples are inside but for rounding.
-            let density = match self.world.majorant(self.place) {
+            return match self.world.majorant(self.place) {
                 Majorant::Exact => 1.0,
                 Majorant::Cells(_) => {
                     self.world
                         .density_at(self.layer, place, height_fraction, 1.0)
                 }
             };
-            let profile = match &self.layer.medium {
-                Medium::Sheet(_) => density,
-                _ => 1.0,
-            };
-            return (density, profile, height_fraction);
         };
         let (Some(noise), Some(maps)) = (self.world.noise(), self.world.maps(self.layer)) else {
-            return (0.0, 0.0, height_fraction);
+            return 0.0;
         };
         let profile = weather.dimensional_profile(maps, place, height_fraction);
         let weight = detail_weight(weather.detail_period_m, distance_m);
-        let density = weather.carved_density(noise, place, height_fraction, profile, weight);
-        (density, profile, height_fraction)
+        weather.carved_density(noise, place, height_fraction, profile, weight)
     }
 
     fn gather(&self, ray: &Ray, dark: f64) -> (LayerGathered, u64) {
-        let octaves = Octaves::new(self.world, self.layer, ray);
-        let mut sums = octaves.sums();
+        let mut gathering = Gathering::new(self.world, self.layer, ray);
         let exact = matches!(self.world.majorant(self.place), Majorant::Exact);
         let shared = if exact { 1 } else { SHARED_STEPS };
         let extinction = self.layer.extinction_per_m;
         let (mut transmittance, mut optical_depth) = (1.0, 0.0);
-        let (mut ambient, mut weighted_distance_m, mut evaluations) = (0.0, 0.0, 0);
+        let mut evaluations = 0;
         each_span(self.world, self.place, ray, f64::INFINITY, |span| {
             if exact && transmittance < dark {
                 let depth = extinction * span.length_m();
@@ -334,7 +327,7 @@ impl<'a> LayerMarch<'a> {
                     }
                     // Nothing is lit here any more: the whole block by its middle.
                     let at_m = span.start_m + (next as f64 + 0.5 * block as f64) * step_m;
-                    let (density, ..) = self.sample(ray.at(at_m), at_m);
+                    let density = self.sample(ray.at(at_m), at_m);
                     let depth = density * extinction * step_m * block as f64;
                     optical_depth += depth;
                     transmittance *= (-depth).exp();
@@ -345,7 +338,7 @@ impl<'a> LayerMarch<'a> {
                 let mut sun_depth = None;
                 for i in next..next + block {
                     let at_m = span.start_m + (i as f64 + 0.5) * step_m;
-                    let (density, profile, height_fraction) = self.sample(ray.at(at_m), at_m);
+                    let density = self.sample(ray.at(at_m), at_m);
                     evaluations += 1;
                     if density <= 0.0 {
                         continue;
@@ -358,9 +351,7 @@ impl<'a> LayerMarch<'a> {
                     });
                     let depth = density * extinction * step_m;
                     let weight = transmittance * depth * one_minus_exp_over(depth);
-                    octaves.add(&mut sums, weight, sun_depth);
-                    ambient += weight * ambient_share(height_fraction, profile, density);
-                    weighted_distance_m += weight * at_m;
+                    gathering.add(weight, at_m, sun_depth);
                     optical_depth += depth;
                     transmittance *= (-depth).exp();
                 }
@@ -373,14 +364,14 @@ impl<'a> LayerMarch<'a> {
             self.layer.top_altitude_m,
             ray,
         );
-        let gathered = finished(
-            self.world,
-            self.layer,
-            octaves.single_and_octaves(&sums),
-            ambient,
+        let gathered = gathering.finished(
             transmittance,
-            weighted_distance_m + CLEAR_OPACITY * layer_distance_m(parts),
             optical_depth,
+            layer_distance_m(parts),
+            |place_m, up| match &self.layer.medium {
+                Medium::Sheet(_) => sheet_surroundings(self.world, self.layer, place_m),
+                _ => surroundings(self.world, self.layer, place_m, up),
+            },
         );
         (gathered, evaluations)
     }

@@ -1,8 +1,8 @@
 //! One ray through one layer with the shaders' discretisation.
 
-use super::CLEAR_OPACITY;
-use super::blend::{Octaves, ambient_share};
+use super::blend::{Gathering, surroundings};
 use crate::error::checked;
+use crate::scattering::Surroundings;
 use crate::shell::Interval;
 use crate::transport::one_minus_exp_over;
 use crate::world::Medium;
@@ -128,7 +128,7 @@ impl StepGrid {
 }
 
 /// Optical depth from a point of the frame towards the sun within its layer, by samples in the middles of parts that grow
-/// with the square of their count, and how many of them there were.
+/// with the square of their count.
 #[must_use]
 pub fn sun_optical_depth(
     world: &World,
@@ -136,23 +136,42 @@ pub fn sun_optical_depth(
     position_m: DVec3,
     sun_steps: u32,
 ) -> f64 {
-    let count = f64::from(sun_steps);
-    let end_m = world.scene().light().sun_march_distance_m();
-    let sun = world.light().sun_direction;
-    let length_m: f64 = (0..sun_steps)
+    optical_depth_towards(
+        world,
+        layer,
+        position_m,
+        world.light().sun_direction,
+        1.0,
+        sun_steps,
+    )
+}
+
+/// The same along any direction, over a reach in lengths of the march to the sun.
+#[must_use]
+pub fn optical_depth_towards(
+    world: &World,
+    layer: &WorldLayer,
+    position_m: DVec3,
+    direction: DVec3,
+    reach: f64,
+    samples: u32,
+) -> f64 {
+    let count = f64::from(samples);
+    let end_m = reach * world.scene().light().sun_march_distance_m();
+    let length_m: f64 = (0..samples)
         .map(|i| {
             let near_m = (f64::from(i) / count).powi(2) * end_m;
             let far_m = (f64::from(i + 1) / count).powi(2) * end_m;
-            let sample = position_m + sun * (0.5 * (near_m + far_m));
+            let sample = position_m + direction * (0.5 * (near_m + far_m));
             world.smooth_density(layer, sample) * (far_m - near_m)
         })
         .sum();
     length_m * layer.extinction_per_m
 }
 
-/// What a sample finds: density, dimensional profile, or how far the next one may be.
+/// What a sample finds: density, or how far the next one may be.
 enum Found {
-    Cloud { density: f64, profile: f64 },
+    Cloud { density: f64 },
     Clear { skip_m: f64 },
 }
 
@@ -164,7 +183,7 @@ fn sample(
     height_fraction: f64,
 ) -> Found {
     let place = world.field_place(layer, position_m);
-    let (density, profile) = match &layer.medium {
+    let density = match &layer.medium {
         Medium::Weather(weather) => {
             let (Some(noise), Some(maps)) = (world.noise(), world.maps(layer)) else {
                 return Found::Clear { skip_m: 0.0 };
@@ -175,16 +194,23 @@ fn sample(
                 return Found::Clear { skip_m };
             }
             let weight = detail_weight(weather.detail_period_m, distance_m);
-            let density = weather.carved_density(noise, place, height_fraction, profile, weight);
-            (density, profile)
+            weather.carved_density(noise, place, height_fraction, profile, weight)
         }
-        _ => (world.density_at(layer, place, height_fraction, 1.0), 1.0),
+        _ => world.density_at(layer, place, height_fraction, 1.0),
     };
     if density > 0.0 {
-        Found::Cloud { density, profile }
+        Found::Cloud { density }
     } else {
         Found::Clear { skip_m: 0.0 }
     }
+}
+
+/// What a march has passed through.
+struct Passed {
+    transmittance: f64,
+    optical_depth: f64,
+    layer_distance_m: f64,
+    evaluations: u64,
 }
 
 /// Marches one ray through one layer; also tells how often density was looked up.
@@ -198,13 +224,86 @@ pub fn gather_layer(
     if let Medium::Sheet(_) = layer.medium {
         return super::sheet::gather_sheet(world, layer, ray, settings.start_fraction);
     }
+    let mut gathering = Gathering::new(world, layer, ray);
+    let passed = each_lit_sample(
+        world,
+        layer,
+        ray,
+        settings,
+        |weight, distance_m, sun_depth| {
+            gathering.add(weight, distance_m, sun_depth);
+        },
+    );
+    let gathered = gathering.finished(
+        passed.transmittance,
+        passed.optical_depth,
+        passed.layer_distance_m,
+        |place_m, up| surroundings(world, layer, place_m, up),
+    );
+    (gathered, passed.evaluations)
+}
+
+/// What the model of scattered light knows of a ray.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LitRay {
+    /// Share of its light that each lit sample shows, and optical depth from there to the sun.
+    pub samples: Vec<[f64; 2]>,
+    /// What is around the place where its light comes from on the mean.
+    pub around: Surroundings,
+    /// Sine of the ray's elevation there.
+    pub rising: f64,
+    /// Sine of the sun's.
+    pub sun_rising: f64,
+    /// The mean of the lit samples' heights in the layer, 0…1.
+    pub height_fraction: f64,
+}
+
+/// The lit samples of a ray in one layer, for fits of what is made of them.
+#[must_use]
+pub fn lit_ray(world: &World, layer: &WorldLayer, ray: &Ray, settings: &MarchSteps) -> LitRay {
+    let mut samples = Vec::new();
+    let (mut shown, mut weighted_distance_m) = (0.0, 0.0);
+    each_lit_sample(
+        world,
+        layer,
+        ray,
+        settings,
+        |weight, distance_m, sun_depth| {
+            samples.push([weight, sun_depth]);
+            shown += weight;
+            weighted_distance_m += weight * distance_m;
+        },
+    );
+    let middle_m = ray.at(if shown > 0.0 {
+        weighted_distance_m / shown
+    } else {
+        0.0
+    });
+    let up = world.globe().up(middle_m);
+    let around = surroundings(world, layer, middle_m, up);
+    LitRay {
+        samples,
+        around,
+        rising: ray.direction.dot(up),
+        sun_rising: world.light().sun_direction.dot(up),
+        height_fraction: layer.height_fraction(world.globe().altitude_m(middle_m)),
+    }
+}
+
+/// Visits the lit samples of a ray in one layer: the share of its light that each shows, its distance, and the optical
+/// depth to the sun.
+fn each_lit_sample(
+    world: &World,
+    layer: &WorldLayer,
+    ray: &Ray,
+    settings: &MarchSteps,
+    mut visit: impl FnMut(f64, f64, f64),
+) -> Passed {
     let grid = StepGrid::new(layer, settings.steps);
     let sun_steps = settings
         .sun_steps
         .unwrap_or(world.scene().light().sun_steps())
         .max(1);
-    let octaves = Octaves::new(world, layer, ray);
-    let mut sums = octaves.sums();
     let parts = world
         .globe()
         .layer_intervals(layer.base_altitude_m, layer.top_altitude_m, ray);
@@ -212,7 +311,6 @@ pub fn gather_layer(
     // Horizontal metres per metre of ray; the floor keeps the quotient finite for vertical rays.
     let across = ray.direction.x.hypot(ray.direction.z).max(1e-3);
     let (mut transmittance, mut optical_depth) = (1.0, 0.0);
-    let (mut ambient, mut weighted_distance_m) = (0.0, 0.0);
     let (mut probes, mut evaluations) = (0, 0);
     'ray: for part in parts.iter().filter(|part| !part.is_empty()) {
         let mut steps = grid.first_sample(part.start_m, settings.start_fraction);
@@ -228,23 +326,20 @@ pub fn gather_layer(
             let altitude_m = world.globe().altitude_m(position_m);
             let height_fraction = layer.height_fraction(altitude_m).clamp(0.0, 1.0);
             evaluations += 1;
-            let (density, profile) =
-                match sample(world, layer, position_m, distance_m, height_fraction) {
-                    Found::Cloud { density, profile } => (density, profile),
-                    Found::Clear { skip_m } => {
-                        probes += 1;
-                        let skipped = grid.steps_at(distance_m + skip_m / across) - steps;
-                        steps += skipped.ceil().max(1.0);
-                        continue;
-                    }
-                };
+            let density = match sample(world, layer, position_m, distance_m, height_fraction) {
+                Found::Cloud { density } => density,
+                Found::Clear { skip_m } => {
+                    probes += 1;
+                    let skipped = grid.steps_at(distance_m + skip_m / across) - steps;
+                    steps += skipped.ceil().max(1.0);
+                    continue;
+                }
+            };
             let depth = density * layer.extinction_per_m * grid.length_m(distance_m);
             let weight = transmittance * depth * one_minus_exp_over(depth);
             let sun_depth = sun_optical_depth(world, layer, position_m, sun_steps);
             evaluations += u64::from(sun_steps);
-            octaves.add(&mut sums, weight, sun_depth);
-            ambient += weight * ambient_share(height_fraction, profile, density);
-            weighted_distance_m += weight * distance_m;
+            visit(weight, distance_m, sun_depth);
             optical_depth += depth;
             transmittance *= (-depth).exp();
             steps += 1.0;
@@ -253,41 +348,11 @@ pub fn gather_layer(
             }
         }
     }
-    let gathered = finished(
-        world,
-        layer,
-        octaves.single_and_octaves(&sums),
-        ambient,
+    Passed {
         transmittance,
-        weighted_distance_m + CLEAR_OPACITY * layer_distance_m,
         optical_depth,
-    );
-    (gathered, evaluations)
-}
-
-/// Sums with the albedo and the scene's factor of ambient light.
-pub(super) fn finished(
-    world: &World,
-    layer: &WorldLayer,
-    (single, octaves): (f64, f64),
-    ambient: f64,
-    transmittance: f64,
-    opacity_distance_m: f64,
-    optical_depth: f64,
-) -> LayerGathered {
-    let ambient = if world.settings().approximations.ambient {
-        layer.albedo * world.scene().light().ambient() * ambient
-    } else {
-        0.0
-    };
-    LayerGathered {
-        scene_index: layer.scene_index,
-        single: layer.albedo * single,
-        octaves: layer.albedo * octaves,
-        ambient,
-        transmittance,
-        opacity_distance_m,
-        optical_depth,
+        layer_distance_m,
+        evaluations,
     }
 }
 

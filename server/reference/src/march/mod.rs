@@ -6,7 +6,10 @@ mod layer;
 mod sheet;
 
 pub use converged::{ConvergeLimit, Converged, converged_ray};
-pub use layer::{MarchSteps, detail_weight, gather_layer, sun_optical_depth};
+pub use layer::{
+    LitRay, MarchSteps, detail_weight, gather_layer, lit_ray, optical_depth_towards,
+    sun_optical_depth,
+};
 pub use sheet::sheet_sun_depth;
 
 use crate::{Ray, RayResult, World};

@@ -1,8 +1,8 @@
 //! One ray through a thin sheet, with the shaders' samples.
 
-use super::CLEAR_OPACITY;
-use super::blend::{Octaves, ambient_share};
-use super::layer::{finished, layer_distance_m};
+use super::blend::Gathering;
+use super::layer::layer_distance_m;
+use crate::scattering::Surroundings;
 use crate::transport::one_minus_exp_over;
 use crate::{LayerGathered, Ray, World, WorldLayer};
 use glam::DVec3;
@@ -35,14 +35,12 @@ pub(super) fn gather_sheet(
     ray: &Ray,
     start_fraction: f64,
 ) -> (LayerGathered, u64) {
-    let octaves = Octaves::new(world, layer, ray);
-    let mut sums = octaves.sums();
+    let mut gathering = Gathering::new(world, layer, ray);
     let parts = world
         .globe()
         .layer_intervals(layer.base_altitude_m, layer.top_altitude_m, ray);
     let across = ray.direction.x.hypot(ray.direction.z);
     let (mut transmittance, mut optical_depth, mut evaluations) = (1.0, 0.0, 0);
-    let (mut ambient, mut weighted_distance_m) = (0.0, 0.0);
     for part in parts.iter().filter(|part| !part.is_empty()) {
         let count = (part.length_m() * across / SAMPLE_M)
             .ceil()
@@ -58,21 +56,45 @@ pub(super) fn gather_sheet(
             let depth = density * layer.extinction_per_m * length_m;
             let weight = transmittance * depth * one_minus_exp_over(depth);
             let sun_depth = sheet_sun_depth(world, layer, position_m, density);
-            octaves.add(&mut sums, weight, sun_depth);
-            ambient += weight * ambient_share(height_fraction, density, density);
-            weighted_distance_m += weight * distance_m;
+            gathering.add(weight, distance_m, sun_depth);
             optical_depth += depth;
             transmittance *= (-depth).exp();
         }
     }
-    let gathered = finished(
-        world,
-        layer,
-        octaves.single_and_octaves(&sums),
-        ambient,
+    let gathered = gathering.finished(
         transmittance,
-        weighted_distance_m + CLEAR_OPACITY * layer_distance_m(parts),
         optical_depth,
+        layer_distance_m(parts),
+        |place_m, _| sheet_surroundings(world, layer, place_m),
     );
     (gathered, evaluations)
+}
+
+/// What is around a place of a sheet, as if it went on as it is there.
+pub(super) fn sheet_surroundings(
+    world: &World,
+    layer: &WorldLayer,
+    place_m: DVec3,
+) -> Surroundings {
+    let reach_m = world.scene().light().sun_march_distance_m();
+    let from_sun = Ray {
+        origin_m: place_m,
+        direction: -world.light().sun_direction,
+    };
+    let [away, _] =
+        world
+            .globe()
+            .layer_intervals(layer.base_altitude_m, layer.top_altitude_m, &from_sun);
+    let place = world.field_place(layer, place_m);
+    let altitude_m = place
+        .altitude_m
+        .clamp(layer.base_altitude_m, layer.top_altitude_m);
+    let height_fraction = layer.height_fraction(altitude_m).clamp(0.0, 1.0);
+    let per_m = world.density_at(layer, place, height_fraction, 1.0) * layer.extinction_per_m;
+    Surroundings {
+        behind: per_m * away.length_m().min(2.0 * reach_m),
+        above: per_m * (layer.top_altitude_m - altitude_m),
+        below: per_m * (altitude_m - layer.base_altitude_m),
+        beside: per_m * 4.0 * reach_m,
+    }
 }
