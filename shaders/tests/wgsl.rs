@@ -4,12 +4,15 @@ use naga::valid::{Capabilities, ValidationFlags, Validator};
 use skycell_shaders::layout::{self, GpuLayout};
 use skycell_shaders::{Features, Kernel, compose};
 
+/// What is asked of a device beside WGSL's core: packing two half floats into a word, which everything but old GLES has.
+const CAPABILITIES: Capabilities = Capabilities::SHADER_FLOAT16_IN_FLOAT32;
+
 #[test]
 fn every_entry_point_validates_in_every_specialisation() {
     for kernel in Kernel::ALL {
         for features in Features::all() {
             let module = compose(kernel, features).unwrap_or_else(|error| panic!("{error}"));
-            Validator::new(ValidationFlags::all(), Capabilities::empty())
+            Validator::new(ValidationFlags::all(), CAPABILITIES)
                 .validate(&module)
                 .unwrap_or_else(|error| panic!("{kernel:?} {features:?}: {error:?}"));
             let names: Vec<&str> = module
@@ -51,7 +54,7 @@ fn every_view_validates_with_every_density_and_number_of_layers() {
                     ..Features::default()
                 };
                 let module = compose(kernel, features).unwrap_or_else(|error| panic!("{error}"));
-                Validator::new(ValidationFlags::all(), Capabilities::empty())
+                Validator::new(ValidationFlags::all(), CAPABILITIES)
                     .validate(&module)
                     .unwrap_or_else(|error| panic!("{kernel:?} {features:?}: {error:?}"));
             }

@@ -2,7 +2,9 @@
 
 use super::line::Line;
 use super::stage::{Stage, stage};
-use super::{camera, depth, layers, maps, phase, scattering, sheets, shells, steps, sun_volume, window};
+use super::{
+    camera, depth, layers, maps, phase, scattering, sheets, shells, steps, sun_volume, window,
+};
 use skycell_shaders::SourceEdit;
 
 /// What is planted where; the text must be there.
