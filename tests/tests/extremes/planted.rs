@@ -29,7 +29,7 @@ type Case = (
     fn(&mut Stage) -> Line,
 );
 
-const DEFECTS: [Case; 14] = [
+const DEFECTS: [Case; 16] = [
     (
         "shell roots from squares of radii",
         edit!(
