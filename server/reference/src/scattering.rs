@@ -20,6 +20,8 @@ pub struct Surroundings {
 
 /// Samples of each way.
 pub const SURROUNDINGS_SAMPLES: u32 = 4;
+/// How far they reach upright, m; sideways twice as far.
+pub const SURROUNDINGS_REACH_M: f64 = 1500.0;
 
 /// Diffuse sunlight at a place, in units of the phase, under an optical depth towards the sun, whose elevation has the sine
 /// `sun_rising`. `transport_share` is 1 − g.

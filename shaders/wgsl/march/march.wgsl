@@ -45,6 +45,8 @@ fn distance_seen_m(opacity_distance_m: f32, transmittance: f32) -> f32 {
 /// Detail begins to fade where its voxels are seen under this angle, a pixel and a half of a 720-line picture, and is gone
 /// at half of it. The same for every renderer and resolution: a cloud's shape must not depend on who looks.
 const DETAIL_ANGLE_RAD: f32 = 2.2e-3;
+/// How far what is around a cloud's light is looked for upright, m; sideways twice as far. The fitted constants go with it.
+const SURROUNDINGS_REACH_M: f32 = 1500.0;
 /// A limit that no sensible ray reaches (steps are at least step_min_m long).
 const PROBES_MAX: u32 = 4096u;
 
@@ -214,13 +216,13 @@ fn sheet_sun_length_m(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
 fn surroundings(ray: RayScene, layer: Layer, position: vec3f, up: vec3f, samples: u32) -> Surroundings {
     let per_m = select(0.0, sheet_density(layer, position.xz) * layer.extinction_per_m, samples > 0u);
     let away = layer_intervals(ray.planet_radius_m, false, layer.base_altitude_m, layer.top_altitude_m, position, -ray.sun_direction);
-    let behind_m = min(max(away.first_end_m - away.first_start_m, 0.0), 2.0 * ray.sun_march_distance_m);
+    let behind_m = min(max(away.first_end_m - away.first_start_m, 0.0), 2.0 * SURROUNDINGS_REACH_M);
     let altitude = clamp(altitude_m(ray.planet_radius_m, position), layer.base_altitude_m, layer.top_altitude_m);
     return Surroundings(
         per_m * behind_m,
         per_m * (layer.top_altitude_m - altitude),
         per_m * (altitude - layer.base_altitude_m),
-        per_m * 4.0 * ray.sun_march_distance_m,
+        per_m * 4.0 * SURROUNDINGS_REACH_M,
     );
 }
 #else
@@ -266,7 +268,7 @@ fn surroundings(ray: RayScene, layer: Layer, position: vec3f, up: vec3f, samples
         direction = select(direction, up, way == 1u);
         direction = select(direction, -up, way == 2u);
         // Clouds are wider than they are high.
-        let reach_m = ray.sun_march_distance_m * select(2.0, 1.0, way == 1u || way == 2u);
+        let reach_m = SURROUNDINGS_REACH_M * select(2.0, 1.0, way == 1u || way == 2u);
         let near = f32(i / 5u) / f32(samples);
         let far = f32(i / 5u + 1u) / f32(samples);
         let middle_m = 0.5 * (near * near + far * far) * reach_m;

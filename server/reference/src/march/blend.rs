@@ -3,7 +3,9 @@
 use super::CLEAR_OPACITY;
 use super::layer::optical_depth_towards;
 use crate::phase::one_minus_mu;
-use crate::scattering::{SURROUNDINGS_SAMPLES, Surroundings, diffuse_share, sky_share};
+use crate::scattering::{
+    SURROUNDINGS_REACH_M, SURROUNDINGS_SAMPLES, Surroundings, diffuse_share, sky_share,
+};
 use crate::sky::Haze;
 use crate::{LayerGathered, Ray, RayResult, StandardErrors, World, WorldLayer};
 use glam::DVec3;
@@ -222,7 +224,8 @@ pub(super) fn surroundings(
 ) -> Surroundings {
     let sun = world.light().sun_direction;
     let depth = |way: DVec3, reach: f64| {
-        optical_depth_towards(world, layer, place_m, way, reach, SURROUNDINGS_SAMPLES)
+        let reach_m = reach * SURROUNDINGS_REACH_M;
+        optical_depth_towards(world, layer, place_m, way, reach_m, SURROUNDINGS_SAMPLES)
     };
     let across = sun.cross(up);
     let side = if across.length_squared() > 1e-6 {

@@ -141,27 +141,26 @@ pub fn sun_optical_depth(
         layer,
         position_m,
         world.light().sun_direction,
-        1.0,
+        world.scene().light().sun_march_distance_m(),
         sun_steps,
     )
 }
 
-/// The same along any direction, over a reach in lengths of the march to the sun.
+/// The same along any direction, over a reach in m.
 #[must_use]
 pub fn optical_depth_towards(
     world: &World,
     layer: &WorldLayer,
     position_m: DVec3,
     direction: DVec3,
-    reach: f64,
+    reach_m: f64,
     samples: u32,
 ) -> f64 {
     let count = f64::from(samples);
-    let end_m = reach * world.scene().light().sun_march_distance_m();
     let length_m: f64 = (0..samples)
         .map(|i| {
-            let near_m = (f64::from(i) / count).powi(2) * end_m;
-            let far_m = (f64::from(i + 1) / count).powi(2) * end_m;
+            let near_m = (f64::from(i) / count).powi(2) * reach_m;
+            let far_m = (f64::from(i + 1) / count).powi(2) * reach_m;
             let sample = position_m + direction * (0.5 * (near_m + far_m));
             world.smooth_density(layer, sample) * (far_m - near_m)
         })

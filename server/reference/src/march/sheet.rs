@@ -2,7 +2,7 @@
 
 use super::blend::Gathering;
 use super::layer::layer_distance_m;
-use crate::scattering::Surroundings;
+use crate::scattering::{SURROUNDINGS_REACH_M, Surroundings};
 use crate::transport::one_minus_exp_over;
 use crate::{LayerGathered, Ray, World, WorldLayer};
 use glam::DVec3;
@@ -76,7 +76,7 @@ pub(super) fn sheet_surroundings(
     layer: &WorldLayer,
     place_m: DVec3,
 ) -> Surroundings {
-    let reach_m = world.scene().light().sun_march_distance_m();
+    let reach_m = SURROUNDINGS_REACH_M;
     let from_sun = Ray {
         origin_m: place_m,
         direction: -world.light().sun_direction,
