@@ -16,6 +16,11 @@ use naga_oil::compose::{
 };
 use std::collections::HashMap;
 
+/// What the kernels ask of a device beside WGSL's core: packing two half floats into a word, which everything but old GLES
+/// can do.
+pub const CAPABILITIES: naga::valid::Capabilities =
+    naga::valid::Capabilities::SHADER_FLOAT16_IN_FLOAT32;
+
 /// A compute program: one WGSL file with one entry point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Kernel {
@@ -462,7 +467,7 @@ pub fn compose_edited(
         ..features
     }
     .definitions();
-    let mut composer = Composer::default();
+    let mut composer = Composer::default().with_capabilities(CAPABILITIES);
     for (path, source) in MODULES {
         let added = composer.add_composable_module(ComposableModuleDescriptor {
             source: &edit(path, source),

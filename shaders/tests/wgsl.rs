@@ -1,11 +1,8 @@
 //! The WGSL as a whole: every kernel composes and validates, and every shared struct has one layout.
 
-use naga::valid::{Capabilities, ValidationFlags, Validator};
+use naga::valid::{ValidationFlags, Validator};
 use skycell_shaders::layout::{self, GpuLayout};
-use skycell_shaders::{Features, Kernel, compose};
-
-/// What is asked of a device beside WGSL's core: packing two half floats into a word, which everything but old GLES has.
-const CAPABILITIES: Capabilities = Capabilities::SHADER_FLOAT16_IN_FLOAT32;
+use skycell_shaders::{CAPABILITIES, Features, Kernel, compose};
 
 #[test]
 fn every_entry_point_validates_in_every_specialisation() {

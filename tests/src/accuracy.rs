@@ -27,14 +27,14 @@ pub struct Recipe {
 }
 
 impl Recipe {
-    /// The baseline: eight samples a pixel, 128 steps, no cache.
+    /// The baseline: eight samples a pixel, 192 steps, no cache.
     #[must_use]
     pub fn screen_space() -> Self {
         Self {
             renderer: RendererKind::ScreenSpace,
             samples: 8,
             mip_bias: 0.0,
-            march_steps: 128,
+            march_steps: 192,
             filter: FrameFilter::CatmullRom,
         }
     }

@@ -25,7 +25,7 @@ const FOV_DEG: f64 = 140.0;
 /// The sky is metered this often at most.
 const INTERVAL: Duration = Duration::from_millis(250);
 /// Geometric mean of exposed luminance that calls for no change. Tuned: the default scene has it.
-const MIDDLE: f64 = 0.17;
+const MIDDLE: f64 = 0.22;
 /// Exposure does not follow a smaller change, stops: noise of the meter and a passing cloud do not move it.
 const DEAD_BAND_EV: f64 = 0.15;
 /// And ends when it is this close.

@@ -341,11 +341,11 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
     }
     // Light that was scattered often hardly changes along what a ray sees of a cloud: once per ray, where its light comes
     // from on the mean. Rays without cloud take no sample.
-    let share = 1.0 / max(shown, 1e-30);
-    let middle = origin + direction * (weighted_distance_m * share);
+    let per_shown = 1.0 / max(shown, 1e-30);
+    let middle = origin + direction * (weighted_distance_m * per_shown);
     let up = normalize(vec3f(middle.x, middle.y + ray.planet_radius_m, middle.z));
     let around = surroundings(ray, layer, middle, up, select(0u, ray.diffusion.samples, shown > 0.0));
-    let diffuse = shown * diffuse_share(ray.diffusion, layer.transport_share, weighted_sun_depth * share, dot(ray.sun_direction, up), around);
+    let diffuse = shown * diffuse_share(ray.diffusion, layer.transport_share, weighted_sun_depth * per_shown, dot(ray.sun_direction, up), around);
     let sky = shown * sky_share(ray.diffusion, layer.transport_share, around, dot(direction, up));
     return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, diffuse, sky, transmittance, weighted_distance_m + CLEAR_OPACITY * layer_distance_m);
 }
@@ -532,11 +532,11 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
 
     // Light that was scattered often hardly changes along what a ray sees of a cloud: once per ray, where its light comes
     // from on the mean. Rays without cloud take no sample.
-    let share = 1.0 / max(shown, 1e-30);
-    let middle = origin + direction * (weighted_distance_m * share);
+    let per_shown = 1.0 / max(shown, 1e-30);
+    let middle = origin + direction * (weighted_distance_m * per_shown);
     let up = normalize(vec3f(middle.x, middle.y + ray.planet_radius_m, middle.z));
     let around = surroundings(ray, layer, middle, up, select(0u, ray.diffusion.samples, shown > 0.0));
-    let diffuse = shown * diffuse_share(ray.diffusion, layer.transport_share, weighted_sun_depth * share, dot(ray.sun_direction, up), around);
+    let diffuse = shown * diffuse_share(ray.diffusion, layer.transport_share, weighted_sun_depth * per_shown, dot(ray.sun_direction, up), around);
     let sky = shown * sky_share(ray.diffusion, layer.transport_share, around, dot(direction, up));
     return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, diffuse, sky, transmittance, weighted_distance_m + CLEAR_OPACITY * layer_distance_m);
 }

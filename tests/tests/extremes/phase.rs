@@ -5,6 +5,7 @@ use super::line::Line;
 use super::stage::{Stage, ray, slab};
 use glam::DVec3;
 use serde_json::{Value, json};
+use skycell_reference::sky::limb;
 use skycell_server::march::{MarchSettings, hg_draine_parameters};
 use skycell_tests::numbers::U;
 use std::f64::consts::PI;
@@ -92,7 +93,8 @@ pub(crate) fn sharpest(stage: &mut Stage) -> Line {
             line.layer(format!("{model} {what}"), layer, 0.0, 0.0);
             let background = if mu == 1.0 {
                 let disc_sr = 4.0 * PI * (0.5 * 0.2666f64.to_radians()).sin().powi(2);
-                f64::from(layer.transmittance) / disc_sr
+                // The middle of the disc is brighter than its mean.
+                limb(1.0).x * f64::from(layer.transmittance) / disc_sr
             } else {
                 0.0
             };

@@ -46,12 +46,13 @@ pub(crate) fn anywhere_and_anytime(stage: &mut Stage) -> Line {
         let there = stage.look_with(camera, small(), &settings);
         let what = format!("cell {aside_m} m aside");
         line.picture(&what, &there);
-        // Places are rounded to U of their distance from the origin, √2 · 100 km: 8 mm, of which density feels 0.1 per
-        // metre; a few such roundings.
+        // Places are rounded to U of their distance from the origin, √2 · 100 km: 8 mm. At a steepness of 7 density feels
+        // 7 · 0.44 · 128 / 5000 = 0.08 per metre of the shape noise and 7 · 0.22 · 32 / 420 = 0.12 of the detail; a few such
+        // roundings.
         line.holds(
             &what,
             relative_l2(&here, &there),
-            4.0 * 0.1 * (2.0 * aside_m * 6e-8 + 3e-3),
+            4.0 * 0.2 * (2.0 * aside_m * 6e-8 + 3e-3),
         );
     }
     line

@@ -116,7 +116,7 @@ const DEFECTS: [Case; 16] = [
         edit!(
             "march/march.wgsl",
             "let optical_depth = density * layer.extinction_per_m * length_m;\n        let opacity",
-            "let optical_depth = density * layer.extinction_per_m * thickness_m;\n        let opacity"
+            "let optical_depth = density * layer.extinction_per_m * (layer.top_altitude_m - layer.base_altitude_m);\n        let opacity"
         ),
         "sheets",
         sheets::anywhere,

@@ -3,6 +3,7 @@
 use super::line::Line;
 use super::stage::{CACHED, SCREEN, Stage, eye, pixel, size, slab, small, weather};
 use serde_json::json;
+use skycell_reference::sky::limb;
 use skycell_tests::numbers::U;
 use std::f64::consts::PI;
 
@@ -56,7 +57,7 @@ pub(crate) fn anywhere(stage: &mut Stage) -> Line {
     line
 }
 
-/// Radiance of the disc, E / (2π (1 - cos r)), through the middle of a picture, behind nothing and behind a known
+/// Radiance of the disc, E / (2π (1 - cos r)) times what its limb leaves the middle, through the middle of a picture, behind nothing and behind a known
 /// transmittance; and the disc's irradiance in a picture that shows all of it.
 pub(crate) fn along_the_ray(stage: &mut Stage) -> Line {
     let mut line = Line::new("sun along the ray");
@@ -78,7 +79,8 @@ pub(crate) fn along_the_ray(stage: &mut Stage) -> Line {
         let sine = elevation_deg.to_radians().sin();
         let along = depth / sine;
         let seen = pixel(&picture, 4, 4)[0];
-        let disc = (-along).exp() / disc_sr;
+        // The middle of the disc is brighter than its mean, by its limb.
+        let disc = limb(1.0).x * (-along).exp() / disc_sr;
         // In-scattered light is between nothing and all that the opacity can scatter towards the eye, 1 - T over 4π; a
         // slanted ray begins and ends within a step.
         let scattered = -(-along).exp_m1() / (4.0 * PI);

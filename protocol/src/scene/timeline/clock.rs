@@ -44,9 +44,12 @@ impl SkyClock {
         }
     }
 
-    /// Sky time at a moment, s.
+    /// Sky time at a moment, s. It stops at the ends of what a document may say, three thousand years away, so that every
+    /// moment of a sky is a document as well.
     pub fn sky_s(&self, now: Moment) -> f64 {
-        self.sky_s_at_epoch + self.rate * self.running_until(now).seconds_since(self.epoch)
+        let since_s = self.running_until(now).seconds_since(self.epoch);
+        (self.sky_s_at_epoch + self.rate * since_s)
+            .clamp(ranges::SKY_TIME_S.min, ranges::SKY_TIME_S.max)
     }
 
     /// The last moment up to `now` at which the sky ran.
