@@ -120,7 +120,7 @@ const GROUP_WIDTH: u32 = 32;
 /// Rows of a workgroup's part of a picture.
 const GROUP_ROWS: u32 = 16;
 
-/// The first row, a multiple of [`GROUP_ROWS`], from which on every pixel shows the ground: no cloud needs to be looked
+/// The first row, a multiple of `GROUP_ROWS`, from which on every pixel shows the ground: no cloud needs to be looked
 /// up there. A ray meets the ground where it points further down than the horizon's dip.
 #[must_use]
 pub fn first_ground_row(view: &layout::View, planet_radius_m: f64) -> u32 {

@@ -56,7 +56,7 @@ impl MapFormat {
         if self == Self::Bytes { other } else { self }
     }
 
-    /// What the device reads for a skip distance in [`SKIP_LEVELS`]: not rounded up.
+    /// What the device reads for a skip distance in `SKIP_LEVELS`: not rounded up.
     #[must_use]
     pub fn skip(self, level: u8) -> f32 {
         match self {

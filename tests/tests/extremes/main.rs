@@ -47,7 +47,7 @@ const CASES: [(Run, usize); 27] = [
     (frames::any, 12),
     (steps::accumulated, 8),
     (truth::at_the_ends, 64),
-    (maps::any, 42),
+    (maps::any, 41),
     (maps::blends, 10),
     (maps::refused, 4),
     (maps::evolution, 5),
