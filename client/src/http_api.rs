@@ -11,6 +11,8 @@ use thiserror::Error;
 use crate::{ServerAddress, ServerStats};
 
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
+/// A change of the scene may wait for maps that have to be made first.
+const CHANGE_TIMEOUT: Duration = Duration::from_secs(70);
 /// A scene has a few kB, the counters of a full server some hundred.
 const BODY_MAX_BYTES: usize = 8 << 20;
 /// A map of 8192 x 8192 floats, and what is around it.
@@ -105,7 +107,7 @@ fn innermost(error: &reqwest::Error) -> String {
         reason = source;
     }
     if error.is_timeout() {
-        format!("no answer within {} s", REQUEST_TIMEOUT.as_secs())
+        "no answer in time".to_owned()
     } else {
         reason.to_string()
     }
@@ -295,6 +297,7 @@ impl HttpApi {
         let request = self
             .client
             .request(method.clone(), url.clone())
+            .timeout(CHANGE_TIMEOUT)
             .header(header::CONTENT_TYPE, "application/json")
             .header(header::IF_MATCH, "*")
             .body(value.to_string());
@@ -326,6 +329,7 @@ impl HttpApi {
         let mut request = self.client.request(method.clone(), url.clone());
         if let Some((patch, etag)) = patch {
             request = request
+                .timeout(CHANGE_TIMEOUT)
                 .header(header::CONTENT_TYPE, MERGE_PATCH)
                 .header(header::IF_MATCH, etag)
                 .body(patch.to_string());

@@ -38,7 +38,8 @@ pub struct Server {
     log: PathBuf,
     // Removed after the process has ended.
     _scratch: tempfile::TempDir,
-    _turn: tokio::sync::OwnedMutexGuard<()>,
+    // Shared with the servers that were started beside this one.
+    turn: Arc<tokio::sync::OwnedMutexGuard<()>>,
 }
 
 impl Server {
@@ -60,12 +61,28 @@ impl Server {
         Ok(server)
     }
 
-    /// Starts a server on a free port and waits until it is ready.
+    /// Starts a server on a free port and waits until it is ready. A test that holds another one starts it with
+    /// [`Self::start_beside`], or waits for itself.
     ///
     /// # Errors
     /// When it does not become ready; the end of its log is told.
     pub async fn start_with(options: ServerOptions) -> anyhow::Result<Self> {
         let turn = TURN.clone().lock_owned().await;
+        Self::start_in_turn(options, Arc::new(turn)).await
+    }
+
+    /// A second server with the defaults, in the same turn as this one.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub async fn start_beside(&self) -> anyhow::Result<Self> {
+        Self::start_in_turn(ServerOptions::default(), self.turn.clone()).await
+    }
+
+    async fn start_in_turn(
+        options: ServerOptions,
+        turn: Arc<tokio::sync::OwnedMutexGuard<()>>,
+    ) -> anyhow::Result<Self> {
         let binary = binary("skycell-server")?;
         let scratch = tempfile::tempdir()?;
         let state = options
@@ -113,7 +130,7 @@ impl Server {
                 .build()?,
             log,
             _scratch: scratch,
-            _turn: turn,
+            turn,
         };
         until("a ready server", async || {
             let ready = server.http.get(server.url("readyz")).send().await?;

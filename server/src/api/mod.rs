@@ -38,6 +38,9 @@ pub const BODY_MAX_BYTES: usize = 64 * 1024;
 /// How long a request may take, its body included.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 
+/// The same for a change of the scene, which may wait for maps that have to be made first.
+const CHANGE_TIMEOUT: Duration = Duration::from_secs(60);
+
 /// The same for a map: up to 64 MiB, which wait for their turn to be read.
 const MAP_TIMEOUT: Duration = Duration::from_secs(120);
 
@@ -48,16 +51,21 @@ const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src '
 
 /// Every route of the service.
 pub fn router(context: Arc<StreamContext>) -> Router {
+    let timeout = |limit| TimeoutLayer::with_status_code(StatusCode::REQUEST_TIMEOUT, limit);
+    let changes = Router::new()
+        .route("/api/v1/scene", get(scene::get).patch(scene::patch))
+        .route("/api/v1/scene/preset", post(presets::set))
+        .method_not_allowed_fallback(method_not_allowed)
+        .layer(RequestBodyLimitLayer::new(BODY_MAX_BYTES))
+        .layer(timeout(CHANGE_TIMEOUT));
     let router = Router::new()
         .route("/ws", get(stream::upgrade))
-        .route("/api/v1/scene", get(scene::get).patch(scene::patch))
         .route(
             "/api/v1/scene/time",
             get(scene_time::get).put(scene_time::put),
         )
         .route("/api/v1/scene/now", get(scene_time::now))
         .route("/api/v1/scene/events", get(scene_time::events))
-        .route("/api/v1/scene/preset", post(presets::set))
         .route("/api/v1/presets", get(presets::list))
         .route("/api/v1/presets/{name}", get(presets::get))
         .route("/api/v1/cells", get(figures::cells))
@@ -70,17 +78,12 @@ pub fn router(context: Arc<StreamContext>) -> Router {
         .fallback(page::serve)
         .method_not_allowed_fallback(method_not_allowed)
         .layer(RequestBodyLimitLayer::new(BODY_MAX_BYTES))
-        .layer(TimeoutLayer::with_status_code(
-            StatusCode::REQUEST_TIMEOUT,
-            REQUEST_TIMEOUT,
-        ))
+        .layer(timeout(REQUEST_TIMEOUT))
+        .merge(changes)
         .merge(
             maps::routes()
                 .method_not_allowed_fallback(method_not_allowed)
-                .layer(TimeoutLayer::with_status_code(
-                    StatusCode::REQUEST_TIMEOUT,
-                    MAP_TIMEOUT,
-                )),
+                .layer(timeout(MAP_TIMEOUT)),
         )
         .with_state(context)
         .layer(CatchPanicLayer::custom(after_panic))

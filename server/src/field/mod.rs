@@ -23,4 +23,4 @@ pub use maps::{MAP_SIZE, SKIP_RANGE_SHARE, WeatherMaps, skip_coverage, skip_dist
 pub use profile::{PROFILE_SIZE, mean_height_fraction, profile_texels, vertical_profile};
 pub use sheet::SheetMaps;
 pub use store::FieldStore;
-pub use volumes::{NoiseVolume, VolumeKind};
+pub use volumes::{NoiseVolume, VOLUME_SEED, VolumeKind};

@@ -6,9 +6,10 @@ use super::maps::{MAP_SIZE, WeatherMaps};
 use super::profile::{PROFILE_SIZE, profile_texels};
 use super::resample::device_texels;
 use super::sheet::SheetMaps;
-use super::volumes::{NoiseVolume, VolumeKind};
+use super::volumes::{NoiseVolume, VOLUME_SEED, VolumeKind};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use skycell_protocol::scene::{MapKind, WeatherDensity, WeatherPattern};
+use skycell_protocol::Scene;
+use skycell_protocol::scene::{DensityModel, MapKind, WeatherDensity, WeatherPattern};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -23,6 +24,11 @@ const RESAMPLER_VERSION: u32 = 1;
 /// Maps from files that are kept as the device reads them, the last used: those of four layers four times over.
 const DRAWN_MAPS_MAX: usize = 48;
 const DRAWN_PREFIX: &str = "drawn-";
+
+/// Generated maps that are kept of weather and of sheets each, the last used: 2 and 3 MiB a piece.
+const GENERATED_MAX: usize = 48;
+const GENERATED_PREFIX: &str = "maps-";
+const SHEET_PREFIX: &str = "sheet-";
 
 /// Where noise and maps are kept. Without a folder they are made anew each time.
 #[derive(Clone, Debug)]
@@ -42,7 +48,7 @@ impl FieldStore {
     pub fn volume(&self, kind: VolumeKind, seed: u32) -> NoiseVolume {
         let size = kind.size();
         let bytes = 2 * (size as usize).pow(3);
-        let key = format!("{}-{size}-seed{seed}-v{GENERATOR_VERSION}", kind.name());
+        let key = volume_key(kind, seed);
         let texels = self.load_or_make(&key, bytes, u64::from(size), |bar| {
             NoiseVolume::generate(kind, seed, || bar.inc(1)).texels
         });
@@ -53,10 +59,7 @@ impl FieldStore {
     #[must_use]
     pub fn weather_maps(&self, pattern: WeatherPattern, seed: u32) -> WeatherMaps {
         let texels = (MAP_SIZE as usize).pow(2);
-        let key = format!(
-            "maps-{}-{MAP_SIZE}-seed{seed}-v{GENERATOR_VERSION}",
-            pattern.name()
-        );
+        let key = maps_key(pattern, seed);
         let both = self.load_or_make(&key, 2 * texels, u64::from(MAP_SIZE), |bar| {
             let maps = WeatherMaps::generate(pattern, seed, || bar.inc(1));
             [maps.coverage, maps.cloud_type].concat()
@@ -111,7 +114,7 @@ impl FieldStore {
             if let Err(error) = write(&path, &raw) {
                 tracing::warn!(path = %path.display(), %error, "a map is not kept on disk");
             }
-            forget_old_maps(path.parent().unwrap_or_else(|| Path::new(".")));
+            forget_oldest(folder_of(&path), DRAWN_PREFIX, DRAWN_MAPS_MAX);
         }
         Ok(made)
     }
@@ -125,6 +128,29 @@ impl FieldStore {
             coverage: wide(&made.coverage),
             cloud_type: wide(&made.cloud_type),
             profile: wide(&profile_texels(weather.profile())),
+        }
+    }
+
+    /// Makes the noise and the generated maps that one scene needs, another does not, and that are not kept yet, so that
+    /// whoever reads them later finds them. Takes seconds where something has to be made, else next to nothing. Without
+    /// a folder it does nothing.
+    pub fn prepare(&self, wanted: &Scene, known: &Scene) {
+        let Some(folder) = &self.folder else {
+            return;
+        };
+        let known = generated_parts(known);
+        for part in generated_parts(wanted) {
+            if !known.contains(&part) && !folder.join(format!("{}.bin", part.key())).exists() {
+                self.make(part);
+            }
+        }
+    }
+
+    fn make(&self, part: GeneratedPart) {
+        match part {
+            GeneratedPart::Volume(kind) => drop(self.volume(kind, VOLUME_SEED)),
+            GeneratedPart::Weather(pattern, seed) => drop(self.weather_maps(pattern, seed)),
+            GeneratedPart::Sheet(seed) => drop(self.sheet_maps(seed)),
         }
     }
 
@@ -165,7 +191,7 @@ impl FieldStore {
     #[must_use]
     pub fn sheet_maps(&self, seed: u32) -> SheetMaps {
         let texels = (MAP_SIZE as usize).pow(2);
-        let key = format!("sheet-{MAP_SIZE}-seed{seed}-v{GENERATOR_VERSION}");
+        let key = sheet_key(seed);
         let all = self.load_or_make(&key, 3 * texels, 5 * u64::from(MAP_SIZE), |bar| {
             let maps = SheetMaps::generate(seed, || bar.inc(1));
             [maps.patches, maps.fibres, maps.veil].concat()
@@ -210,41 +236,93 @@ impl FieldStore {
             made
         });
         bar.finish_and_clear();
-        if let Some(path) = path
-            && let Err(error) = write(&path, &made)
-        {
-            tracing::warn!(path = %path.display(), %error, "noise is not kept on disk");
+        if let Some(path) = path {
+            if let Err(error) = write(&path, &made) {
+                tracing::warn!(path = %path.display(), %error, "noise is not kept on disk");
+            }
+            // Scenes may name any seed.
+            for prefix in [GENERATED_PREFIX, SHEET_PREFIX] {
+                forget_oldest(folder_of(&path), prefix, GENERATED_MAX);
+            }
         }
         made
     }
 }
 
-/// Removes all but the youngest maps that were made from files.
-fn forget_old_maps(folder: &Path) {
+/// What is made for a layer.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum GeneratedPart {
+    Volume(VolumeKind),
+    Weather(WeatherPattern, u32),
+    Sheet(u32),
+}
+
+impl GeneratedPart {
+    fn key(self) -> String {
+        match self {
+            Self::Volume(kind) => volume_key(kind, VOLUME_SEED),
+            Self::Weather(pattern, seed) => maps_key(pattern, seed),
+            Self::Sheet(seed) => sheet_key(seed),
+        }
+    }
+}
+
+fn generated_parts(scene: &Scene) -> Vec<GeneratedPart> {
+    let of_layer = |density: &DensityModel| match density {
+        DensityModel::Weather(weather) => vec![
+            GeneratedPart::Volume(VolumeKind::Shape),
+            GeneratedPart::Volume(VolumeKind::Detail),
+            GeneratedPart::Weather(weather.pattern(), weather.seed()),
+        ],
+        DensityModel::Cirrus(cirrus) => vec![GeneratedPart::Sheet(cirrus.seed())],
+        _ => Vec::new(),
+    };
+    let densities = scene.layers().iter().map(|layer| layer.density());
+    densities.flat_map(of_layer).collect()
+}
+
+fn volume_key(kind: VolumeKind, seed: u32) -> String {
+    let size = kind.size();
+    format!("{}-{size}-seed{seed}-v{GENERATOR_VERSION}", kind.name())
+}
+
+fn maps_key(pattern: WeatherPattern, seed: u32) -> String {
+    let pattern = pattern.name();
+    format!("{GENERATED_PREFIX}{pattern}-{MAP_SIZE}-seed{seed}-v{GENERATOR_VERSION}")
+}
+
+fn sheet_key(seed: u32) -> String {
+    format!("{SHEET_PREFIX}{MAP_SIZE}-seed{seed}-v{GENERATOR_VERSION}")
+}
+
+/// Removes all but the last used files of a kind.
+fn forget_oldest(folder: &Path, prefix: &str, kept_max: usize) {
     let Ok(entries) = std::fs::read_dir(folder) else {
         return;
     };
     let mut maps: Vec<(std::time::SystemTime, PathBuf)> = entries
         .flatten()
-        .filter(|entry| {
-            entry
-                .file_name()
-                .to_string_lossy()
-                .starts_with(DRAWN_PREFIX)
-        })
+        .filter(|entry| entry.file_name().to_string_lossy().starts_with(prefix))
         .filter_map(|entry| Some((entry.metadata().ok()?.modified().ok()?, entry.path())))
         .collect();
     maps.sort();
-    let many = maps.len().saturating_sub(DRAWN_MAPS_MAX);
+    let many = maps.len().saturating_sub(kept_max);
     for (_, path) in maps.into_iter().take(many) {
         // Another process may have been faster; what is left is removed next time.
         let _ = std::fs::remove_file(path);
     }
 }
 
+fn folder_of(path: &Path) -> &Path {
+    path.parent().unwrap_or_else(|| Path::new("."))
+}
+
 /// The texels of a file whose length and checksum are right; a damaged file counts as none.
 fn read(path: &Path, bytes: usize) -> Option<Vec<u8>> {
     let mut file = std::fs::read(path).ok()?;
+    // What is used is not the first to be forgotten. A folder that cannot be written still serves.
+    let used = std::fs::File::options().append(true).open(path);
+    let _ = used.and_then(|file| file.set_modified(std::time::SystemTime::now()));
     if file.len() != bytes + 8 {
         return None;
     }
@@ -254,8 +332,7 @@ fn read(path: &Path, bytes: usize) -> Option<Vec<u8>> {
 
 /// Writes beside the file and renames, so that another process never reads half of it.
 fn write(path: &Path, texels: &[u8]) -> std::io::Result<()> {
-    let folder = path.parent().unwrap_or_else(|| Path::new("."));
-    std::fs::create_dir_all(folder)?;
+    std::fs::create_dir_all(folder_of(path))?;
     let temporary = path.with_extension(format!("tmp{}", std::process::id()));
     let mut file = std::fs::File::create(&temporary)?;
     file.write_all(texels)?;
@@ -276,6 +353,62 @@ mod tests {
         let kept = store.volume(VolumeKind::Detail, 5);
         assert_eq!(made, kept);
         assert_eq!(made, FieldStore::new(None).volume(VolumeKind::Detail, 5));
+    }
+
+    #[test]
+    fn what_a_scene_needs_is_there_once_it_is_prepared_unless_another_scene_has_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let store = FieldStore::new(Some(folder.path().to_owned()));
+        let sheet = serde_json::json!({
+            "version": 1, "layers": [{"name": "high", "family": "cirrus"}]});
+        let scene = Scene::from_json(&sheet).expect("a scene");
+        let none =
+            Scene::from_json(&serde_json::json!({"version": 1, "layers": []})).expect("a scene");
+        store.prepare(&scene, &scene);
+        assert_eq!(
+            std::fs::read_dir(folder.path()).expect("readable").count(),
+            0
+        );
+        store.prepare(&scene, &none);
+        let names = || {
+            let mut names: Vec<_> = std::fs::read_dir(folder.path())
+                .expect("readable")
+                .map(|entry| entry.expect("an entry").file_name())
+                .collect();
+            names.sort();
+            names
+        };
+        assert_eq!(names(), [format!("{}.bin", sheet_key(1)).as_str()]);
+        let made = std::fs::metadata(folder.path().join(&names()[0])).expect("there");
+        store.prepare(&scene, &none);
+        let after = std::fs::metadata(folder.path().join(&names()[0])).expect("there");
+        assert_eq!(
+            made.modified().expect("a time"),
+            after.modified().expect("a time")
+        );
+    }
+
+    #[test]
+    fn the_last_used_files_are_kept() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for age_s in 0..6u64 {
+            let path = folder.path().join(format!("maps-{age_s}.bin"));
+            write(&path, &[age_s as u8]).expect("writable");
+            let time = std::time::SystemTime::now() - Duration::from_secs(1000 - age_s);
+            let file = std::fs::File::options()
+                .append(true)
+                .open(&path)
+                .expect("there");
+            file.set_modified(time).expect("a time");
+        }
+        // The oldest is used.
+        let oldest = folder.path().join("maps-0.bin");
+        assert_eq!(read(&oldest, 1), Some(vec![0]));
+        forget_oldest(folder.path(), "maps-", 2);
+        let left: Vec<bool> = (0..6)
+            .map(|i| folder.path().join(format!("maps-{i}.bin")).exists())
+            .collect();
+        assert_eq!(left, [true, false, false, false, false, true]);
     }
 
     #[test]

@@ -3,6 +3,9 @@
 use super::noise::{billow, octaves, perlin};
 use rayon::prelude::*;
 
+/// Seed of the noise volumes: the same for every scene, the scene's seeds are those of its maps.
+pub const VOLUME_SEED: u32 = 1;
+
 /// A cube of texels with two channels of 8 bits: billowy and wispy noise, 0…1.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NoiseVolume {

@@ -2,6 +2,7 @@
 //! back.
 
 mod auditing;
+mod awaited_scene;
 mod cells_on_device;
 pub mod interface;
 mod metering;

@@ -219,12 +219,7 @@ impl FrameLoop {
                 self.paces.remove(&viewer);
             }
             RenderCommand::SetScene { scene, revision } => {
-                if let Err(error) = self.renderer.set_scene(scene, revision) {
-                    tracing::error!(%error, revision, "the scene could not be taken over");
-                }
-                for pace in self.paces.values_mut() {
-                    pace.change = Change::Seen;
-                }
+                self.renderer.await_scene(scene, revision);
             }
             // `run` ends the loop before it comes here.
             RenderCommand::Shutdown => {}
@@ -246,6 +241,8 @@ impl FrameLoop {
         self.time = now;
         self.march_credit_s =
             (self.march_credit_s + MARCH_SHARE * passed.as_secs_f64()).min(MARCH_CREDIT_MAX_S);
+        let shown = self.renderer.take_views();
+        self.take_awaited_scene();
         self.follow_time(passed);
         if self.paces.is_empty() {
             self.publish(now, true);
@@ -255,7 +252,7 @@ impl FrameLoop {
                 IDLE_INTERVAL
             };
         }
-        for viewer in self.renderer.take_views() {
+        for viewer in shown {
             if let Some(pace) = self.paces.get_mut(&viewer) {
                 pace.change = Change::Seen;
             }
@@ -316,6 +313,19 @@ impl FrameLoop {
             if shows_ages && is_old {
                 pace.change = Change::Seen;
             }
+        }
+    }
+
+    /// Shows the scene that was announced, when all that it takes is there.
+    fn take_awaited_scene(&mut self) {
+        match self.renderer.take_awaited_scene() {
+            Ok(false) => {}
+            Ok(true) => {
+                for pace in self.paces.values_mut() {
+                    pace.change = Change::Seen;
+                }
+            }
+            Err(error) => tracing::error!(%error, "the scene could not be taken over"),
         }
     }
 

@@ -2,6 +2,7 @@
 //! the device stands in the files beside. It decides nothing about time; [`super::pacing`] does.
 
 use super::auditing::Audit;
+use super::awaited_scene::AwaitedScene;
 use super::cells_on_device::ActiveCell;
 use super::interface::{RenderStats, ViewRequest};
 use super::qualities::Qualities;
@@ -81,6 +82,8 @@ pub(super) struct SkyRenderer {
     pub(super) scene: Arc<Scene>,
     pub(super) scene_revision: u64,
     pub(super) sky_time: SkyTime,
+    /// The scene that comes next.
+    pub(super) awaited: Option<AwaitedScene>,
     pub(super) active: Vec<ActiveLayer>,
     /// The layers with proxy spheres where they would be if the scene had always been so.
     pub(super) ideal_active: Vec<ActiveLayer>,
@@ -147,6 +150,7 @@ impl SkyRenderer {
             },
             qualities,
             window_choice: WindowChoice::Fixed(None),
+            awaited: None,
             gpu,
             pipelines,
             field,
@@ -239,6 +243,14 @@ impl SkyRenderer {
 
     /// Makes the pipelines of a scene that are not there yet.
     pub(super) fn prepare_pipelines(&mut self, scene: &Scene) -> Result<(), GpuError> {
+        for key in self.pipeline_keys(scene) {
+            self.pipelines.prepare(&self.gpu, key)?;
+        }
+        Ok(())
+    }
+
+    /// The pipelines of a scene.
+    pub(super) fn pipeline_keys(&self, scene: &Scene) -> Vec<PipelineKey> {
         let active = active_layers(scene);
         let blend = LayerBlend::of(scene, &active);
         let most_frames = match self.window_choice {
@@ -278,10 +290,7 @@ impl SkyRenderer {
                 keys.extend(volume.map(sun_columns_key));
             }
         }
-        for key in keys {
-            self.pipelines.prepare(&self.gpu, key)?;
-        }
-        Ok(())
+        keys
     }
 
     /// The light of the present scene, and the air that it passes. Texels hold which direction it comes from: the sun's,

@@ -17,6 +17,43 @@ const EVALUATE_INTERVAL: Duration = Duration::from_millis(40);
 /// What has moved by less of a step than this is not taken over: nobody sees it, and a slow sun would cost a frame a time.
 const STEP_MIN: f64 = 1.0 / 16.0;
 
+/// The sky that is shown goes on by no more at once, s: what held it up for longer is caught up with.
+const STALL_MAX_S: f64 = 0.25;
+/// Pictures that take longer to come from the device are not waited for: they may never come.
+const PICTURES_WAIT_MAX: Duration = Duration::from_secs(10);
+/// Seconds that are caught up with in a second.
+const CATCH_UP_RATE: f64 = 1.0;
+/// A sky that is farther behind jumps, s.
+const LAG_MAX_S: f64 = 30.0;
+
+/// How far the sky that is shown is behind the present moment because something held it up. It is never longer behind than it
+/// takes to catch up, and not at all where nobody has looked.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Lag {
+    seconds: f64,
+}
+
+impl Lag {
+    /// The sky was held up.
+    fn hold_up(&mut self, seconds: f64) {
+        self.seconds = (self.seconds + seconds).min(LAG_MAX_S);
+    }
+
+    /// Time has passed since the sky was shown last.
+    fn pass(&mut self, seconds: f64) {
+        if seconds > STALL_MAX_S {
+            self.hold_up(seconds - STALL_MAX_S);
+        } else {
+            self.seconds = (self.seconds - CATCH_UP_RATE * seconds).max(0.0);
+        }
+    }
+
+    /// The moment to show.
+    fn behind(self, now: Moment) -> Moment {
+        now.plus_s(-self.seconds)
+    }
+}
+
 /// How the sky follows its document.
 #[derive(Debug)]
 pub(super) struct SkyTime {
@@ -26,6 +63,11 @@ pub(super) struct SkyTime {
     shown: Option<Moment>,
     /// When the scene was worked out last.
     evaluated: Instant,
+    /// Whether somebody has looked since.
+    was_seen: bool,
+    /// Pictures that had been composited by then.
+    composited: u64,
+    lag: Lag,
     /// Seconds of wind that pass in a second.
     wind_rate: f64,
     /// Seconds of sky time that pass in a second.
@@ -43,6 +85,9 @@ impl SkyTime {
             document,
             shown: None,
             evaluated: Instant::now(),
+            was_seen: false,
+            composited: 0,
+            lag: Lag::default(),
             wind_rate: 1.0,
             rate: 1.0,
             moves: false,
@@ -73,6 +118,11 @@ impl SkyTime {
         } else {
             0.0
         };
+    }
+
+    /// The next document comes late.
+    pub(super) fn hold_up(&mut self, time: Duration) {
+        self.lag.hold_up(time.as_secs_f64());
     }
 
     /// Scenes that the sky passes through which may have other layers than it has now: their pipelines are made before.
@@ -123,11 +173,12 @@ impl SkyRenderer {
         if time.shown.is_none() {
             return time.document.clone();
         }
-        time.shown = Some(now);
         time.keep_pace(now);
-        time.moves = time.document.is_animated_after(now);
+        let moment = time.lag.behind(now);
+        time.shown = Some(moment);
+        time.moves = time.document.is_animated_after(moment);
         self.caches.set_calm(!time.moves);
-        Arc::new(time.document.at(now))
+        Arc::new(time.document.at(moment))
     }
 
     /// Brings clouds to where the wind has them now and, when it is time and somebody sees it, the scene to what it is now.
@@ -143,13 +194,27 @@ impl SkyRenderer {
         self.sky_time.keep_pace(now);
         let due = self.sky_time.evaluated.elapsed() >= EVALUATE_INTERVAL;
         let document = self.sky_time.document.clone();
+        if !is_seen {
+            self.sky_time.lag = Lag::default();
+            self.sky_time.was_seen = false;
+        }
         if !due || !is_seen || !(self.sky_time.moves || document.is_animated_after(shown)) {
             return Ok(false);
         }
+        let passed = self.sky_time.evaluated.elapsed();
+        // A device that is held up (a driver may compile at the first dispatch) shows nothing: the sky waits for it.
+        if self.frames_read_back() < self.sky_time.composited && passed < PICTURES_WAIT_MAX {
+            return Ok(false);
+        }
+        self.sky_time.composited = self.counters.frames_composited;
+        if std::mem::replace(&mut self.sky_time.was_seen, true) {
+            self.sky_time.lag.pass(passed.as_secs_f64());
+        }
         self.sky_time.evaluated = Instant::now();
         self.sky_time.evaluations += 1;
-        let scene = document.at(now);
-        let moves = document.is_animated_after(now);
+        let moment = self.sky_time.lag.behind(now);
+        let scene = document.at(moment);
+        let moves = document.is_animated_after(moment);
         let steps = steps_between(&self.scene, &scene);
         let ends = self.sky_time.moves && !moves;
         self.sky_time.moves = moves;
@@ -158,7 +223,7 @@ impl SkyRenderer {
         if steps.largest() <= least {
             return Ok(ends);
         }
-        self.sky_time.shown = Some(now);
+        self.sky_time.shown = Some(moment);
         self.sky_time.taken += 1;
         self.take_moment(Arc::new(scene), &steps)?;
         Ok(true)
@@ -279,4 +344,43 @@ impl SkyRenderer {
 fn shell(scene: &Scene, layer: &ActiveLayer) -> Option<[f64; 2]> {
     let layer = scene.layers().get(layer.scene_index)?;
     Some([layer.base_altitude_m(), layer.top_altitude_m()])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is shown, s, after steps of time.
+    fn shown_s(lag: &mut Lag, now_s: &mut f64, passed_s: f64) -> f64 {
+        *now_s += passed_s;
+        lag.pass(passed_s);
+        *now_s - lag.seconds
+    }
+
+    #[test]
+    fn a_sky_that_was_held_up_catches_up_without_a_jump() {
+        let (mut lag, mut now_s) = (Lag::default(), 0.0);
+        let mut before_s = shown_s(&mut lag, &mut now_s, 0.04);
+        assert!((before_s - 0.04).abs() < 1e-12, "in time at first");
+        let after_stall_s = shown_s(&mut lag, &mut now_s, 4.0);
+        assert!((after_stall_s - before_s - STALL_MAX_S).abs() < 1e-12);
+        before_s = after_stall_s;
+        let mut steps = 0;
+        while lag != Lag::default() {
+            let next_s = shown_s(&mut lag, &mut now_s, 0.04);
+            assert!(next_s > before_s && next_s - before_s < 0.0801);
+            before_s = next_s;
+            steps += 1;
+        }
+        // 3.75 s behind, at 0.04 s a step.
+        assert_eq!(steps, 94);
+        assert!((shown_s(&mut lag, &mut now_s, 0.04) - now_s).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_sky_that_was_held_up_for_very_long_jumps_rather_than_stays_behind() {
+        let (mut lag, mut now_s) = (Lag::default(), 0.0);
+        let shown = shown_s(&mut lag, &mut now_s, 1e9);
+        assert!((shown - (1e9 - LAG_MAX_S)).abs() < 1e-3);
+    }
 }

@@ -113,7 +113,7 @@ fn cell_stats(renderer: &SkyRenderer, id: CellId) -> CellStats {
         stats.texels_requested,
         stats.texels_unique,
     );
-    stats.converged = stats.texels_pending == 0;
+    stats.converged = stats.texels_pending == 0 && renderer.awaited.is_none();
     stats
 }
 

@@ -5,13 +5,10 @@ use super::map_textures::{
 };
 use super::pipelines::Pipelines;
 use super::{Gpu, GpuError};
-use crate::field::{FieldStore, VolumeKind, VoxelGrid, load_grid};
+use crate::field::{FieldStore, VOLUME_SEED, VolumeKind, VoxelGrid, load_grid};
 use skycell_protocol::Scene;
 use skycell_protocol::scene::{DensityModel, GridDensity};
 use std::path::Path;
-
-/// Seed of the noise volumes: the same for every scene, the scene's seeds are those of its maps.
-const VOLUME_SEED: u32 = 1;
 
 /// Noise volumes, and the maps of up to four layers.
 #[derive(Debug)]

@@ -458,6 +458,7 @@ impl Pipelines {
         if work.is_empty() {
             return;
         }
+        let keys: Vec<PipelineKey> = work.iter().map(|(key, _)| *key).collect();
         let (gpu, finished) = (gpu.clone(), self.finished.0.clone());
         let thread = std::thread::Builder::new().name("pipelines".into());
         let spawned = thread.spawn(move || {
@@ -473,7 +474,16 @@ impl Pipelines {
         });
         if let Err(error) = spawned {
             tracing::error!(%error, "pipelines cannot be made beside frames");
+            for key in keys {
+                self.coming.remove(&key);
+            }
         }
+    }
+
+    /// Whether another thread makes a pipeline.
+    #[must_use]
+    pub fn is_coming(&self, key: &PipelineKey) -> bool {
+        self.coming.contains(key)
     }
 
     /// Takes over what other threads have made; true when there was something.

@@ -223,12 +223,16 @@ impl SceneStore {
         &self,
         precondition: &Precondition,
         says_where_clouds_are: bool,
-        edit: impl FnOnce(&Scene, Moment) -> Result<SceneDocument, ScenePatchError>,
+        edit: impl Fn(&Scene, Moment) -> Result<SceneDocument, ScenePatchError>,
     ) -> Result<SceneSnapshot, ScenePatchError> {
         // The lock guards no data, so a panic while it was held has broken nothing.
         let _change = self.change.lock().unwrap_or_else(PoisonError::into_inner);
         let before = self.snapshot();
         precondition.check(&before)?;
+        // Maps of a seed or a pattern that nobody has asked for yet take seconds. They are made here, before the moment
+        // of the change: a renderer that made them would hold its viewers up, and then the sky would jump.
+        let wanted = Scene::try_from(edit(&before.scene, clock::now())?)?;
+        self.field.prepare(&wanted, &before.scene);
         let now = clock::now();
         let document = edit(&before.scene, now)?;
         self.make(&before, document, says_where_clouds_are, now)

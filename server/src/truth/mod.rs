@@ -2,8 +2,8 @@
 //! reads, made by the same generators. The data are inputs of both sides; nothing computed from them is shared.
 
 use crate::field::{
-    FieldStore, GridError, LayerMaps, MAP_SIZE, MapFileError, MapFormat, PROFILE_SIZE, VolumeKind,
-    load_grid,
+    FieldStore, GridError, LayerMaps, MAP_SIZE, MapFileError, MapFormat, PROFILE_SIZE, VOLUME_SEED,
+    VolumeKind, load_grid,
 };
 use glam::DVec3;
 use skycell_protocol::Scene;
@@ -14,9 +14,6 @@ use skycell_reference::{
 };
 use std::path::Path;
 use std::sync::Arc;
-
-/// Seed of the noise volumes, as on the device.
-const VOLUME_SEED: u32 = 1;
 
 /// Why there is no truth about a scene.
 #[derive(Debug, thiserror::Error)]
