@@ -108,7 +108,7 @@ impl Family {
                     coverage: 0.3,
                     cloud_type: 1.0,
                     map_span_m: 200_000.0,
-                    shape_period_m: 10_000.0,
+                    shape_period_m: 14_000.0,
                     detail_period_m: 1_500.0,
                     detail_strength: 0.2,
                     ..plain()

@@ -56,7 +56,10 @@ pub struct GalleryArguments {
     /// Rays a pixel of the pictures.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=16))]
     pub picture_samples: u32,
-    /// Size of the pictures that are compared: the reference takes about a minute for 192x108 on two cores.
+    /// Pictures alone: the references take longer than all else.
+    #[arg(long)]
+    pub without_pairs: bool,
+    /// Size of the pictures that are compared. On two cores the reference takes from one minute to some ten for 96x54.
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = parsed_size, default_value = "192x108")]
     pub pair_size: FrameSize,
     /// Rays across and down a pixel of the reference.
