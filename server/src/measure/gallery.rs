@@ -198,7 +198,7 @@ fn shots() -> anyhow::Result<Vec<Shot>> {
             "The sun stands 70° high behind the viewer.",
             [180.0, 70.0],
             0.0,
-            15.0,
+            25.0,
         ),
         (
             "default-low-sun",
@@ -206,7 +206,7 @@ fn shots() -> anyhow::Result<Vec<Shot>> {
             "The sun stands 5° high on the left.",
             [270.0, 5.0],
             0.0,
-            12.0,
+            25.0,
         ),
         (
             "default-against-the-sun",
@@ -214,7 +214,7 @@ fn shots() -> anyhow::Result<Vec<Shot>> {
             "The sun stands 14° high before the viewer.",
             [180.0, 14.0],
             180.0,
-            14.0,
+            25.0,
         ),
     ] {
         let [azimuth_deg, elevation_deg] = sun;
