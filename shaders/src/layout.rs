@@ -285,8 +285,10 @@ gpu_struct! {
         wispiness: f32,
         /// 1 − mean cosine of the phase.
         transport_share: f32,
-        /// Padding.
-        _pad_form: [f32; 2],
+        /// Share of the type map in the local type, 0…1.
+        type_spread: f32,
+        /// Fills to 16 bytes.
+        pad_form: f32,
         /// Spectral irradiance of the sun at the layer's base, facing it, W/(m² nm).
         sun_at_base: [f32; 3],
         /// Fills to 16 bytes.

@@ -362,7 +362,7 @@ document! {
         "pattern" => pattern: WeatherPattern = WeatherPattern::Puffs,
         /// Share of the sky that clouds cover.
         "coverage" => coverage: f64 = 0.45,
-        /// Profile `low`: 0 stratus, 1/3 stratocumulus, 2/3 cumulus, 1 cumulonimbus. `high`: 0 altostratus, 1 altocumulus.
+        /// Profile `low`: 0 stratus, 1/3 stratocumulus, 1/2 small cumulus, 2/3 cumulus, 1 cumulonimbus. `high`: 0 altostratus, 1 altocumulus.
         "type" => cloud_type: f64 = 0.7,
         /// Length after which the maps repeat.
         "map_span_m" => map_span_m: f64 = 40_000.0,

@@ -80,29 +80,37 @@ impl Family {
                 }),
             ),
             Self::Stratocumulus => (
-                [900.0, 1_900.0],
+                [1_200.0, 2_000.0],
                 0.04,
                 DensityDocument::Weather(WeatherDocument {
                     pattern: WeatherPattern::Rolls,
                     coverage: 0.72,
                     cloud_type: 0.333,
                     map_span_m: 28_000.0,
-                    shape_period_m: 3_000.0,
-                    detail_strength: 0.2,
+                    shape_period_m: 2_400.0,
+                    detail_strength: 0.3,
                     ..plain()
                 }),
             ),
-            Self::Cumulus => ([1_200.0, 3_700.0], 0.05, DensityDocument::Weather(plain())),
+            Self::Cumulus => (
+                [1_200.0, 3_700.0],
+                0.05,
+                DensityDocument::Weather(WeatherDocument {
+                    cloud_type: 0.5,
+                    shape_period_m: 2_600.0,
+                    ..plain()
+                }),
+            ),
             Self::Cumulonimbus => (
                 [800.0, 11_000.0],
                 0.05,
                 DensityDocument::Weather(WeatherDocument {
                     coverage: 0.3,
                     cloud_type: 1.0,
-                    map_span_m: 150_000.0,
+                    map_span_m: 200_000.0,
                     shape_period_m: 14_000.0,
                     detail_period_m: 1_500.0,
-                    detail_strength: 0.15,
+                    detail_strength: 0.2,
                     ..plain()
                 }),
             ),
@@ -183,7 +191,7 @@ impl ReadJson for Family {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum WeatherProfile {
-    /// 0 stratus, 1/3 stratocumulus, 2/3 cumulus, 1 cumulonimbus.
+    /// 0 stratus, 1/3 stratocumulus, 1/2 small cumulus, 2/3 cumulus, 1 cumulonimbus.
     Low,
     /// 0 altostratus, 1 altocumulus.
     High,
@@ -242,42 +250,66 @@ pub struct CloudForm {
     pub shape_range: f64,
     /// How steeply density rises from a cloud's surface inwards.
     pub steepness: f64,
-    /// How much of the local type hangs on the local coverage, 0…1: heaps are flat at their rims and tall in their middles.
+    /// How much of the local type hangs on the local coverage: heaps are flat at their rims and tall in their middles. Above 1
+    /// rims taper to the flattest type before the coverage ends.
     pub dome: f64,
     /// Share of wispy noise above the base, 0…1.
     pub wispiness: f64,
+    /// Share of the type map in the local type, 0…1: how much neighbours differ in height.
+    pub type_spread: f64,
 }
-
-/// The mean threshold that shape noise sets, in dimensional profile: floor + range / 2 is 1 less this.
-const MEAN_THRESHOLD: f64 = 0.36;
 
 impl CloudForm {
     /// The form of a type of a profile. Tuned by eye against photographs of each family.
     #[must_use]
     pub fn of(profile: WeatherProfile, cloud_type: f64) -> Self {
-        // Range, steepness, dome, wispiness at even steps of the type.
-        let knots: &[[f64; 4]] = match profile {
-            WeatherProfile::Low => &[
-                [0.25, 3.0, 0.0, 0.8],
-                [0.5, 5.0, 0.6, 0.3],
-                [0.45, 7.0, 1.0, 0.0],
-                [0.3, 7.0, 0.15, 0.0],
-            ],
-            WeatherProfile::High => &[[0.3, 2.0, 0.0, 1.0], [0.5, 4.0, 0.5, 0.3]],
+        let knots: &[(f64, [f64; 6])] = match profile {
+            WeatherProfile::Low => &LOW_FORMS,
+            WeatherProfile::High => &HIGH_FORMS,
         };
         let last = knots.len() - 1;
-        let at = cloud_type.clamp(0.0, 1.0) * last as f64;
-        let below = (at as usize).min(last - 1);
-        let share = at - below as f64;
-        let [shape_range, steepness, dome, wispiness] = std::array::from_fn(|k| {
-            knots[below][k] + share * (knots[below + 1][k] - knots[below][k])
-        });
-        Self {
-            shape_floor: 1.0 - MEAN_THRESHOLD - 0.5 * shape_range,
+        let above = knots
+            .iter()
+            .position(|(at, _)| cloud_type < *at)
+            .unwrap_or(last)
+            .max(1);
+        let ((from, low), (to, high)) = (knots[above - 1], knots[above]);
+        let share = ((cloud_type - from) / (to - from)).clamp(0.0, 1.0);
+        let [
             shape_range,
             steepness,
             dome,
             wispiness,
+            type_spread,
+            threshold,
+        ] = std::array::from_fn(|k| low[k] + share * (high[k] - low[k]));
+        Self {
+            shape_floor: 1.0 - threshold - 0.5 * shape_range,
+            shape_range,
+            steepness,
+            dome,
+            wispiness,
+            type_spread,
         }
     }
 }
+
+/// Forms of profile `low` at some types: range, steepness, dome, wispiness, spread of the type, and the mean threshold that
+/// shape noise sets, in dimensional profile.
+///
+/// Small heaps are all outline: much noise, and rims that taper to nothing. Towers with anvils have a low threshold, so that
+/// their anvil, which keeps its whole coverage, reaches far beyond the column, which keeps less than half.
+const LOW_FORMS: [(f64, [f64; 6]); 6] = [
+    (0.0, [0.25, 3.0, 0.0, 0.8, 0.45, 0.36]),
+    (1.0 / 3.0, [0.5, 5.0, 0.6, 0.3, 0.45, 0.36]),
+    (0.5, [0.7, 4.0, 1.2, 0.0, 0.45, 0.42]),
+    (2.0 / 3.0, [0.45, 7.0, 1.0, 0.0, 0.45, 0.36]),
+    (0.8, [0.39, 7.0, 0.66, 0.0, 0.45, 0.36]),
+    (1.0, [0.28, 4.5, 0.15, 0.0, 0.05, 0.17]),
+];
+
+/// As [`LOW_FORMS`], of profile `high`.
+const HIGH_FORMS: [(f64, [f64; 6]); 2] = [
+    (0.0, [0.3, 2.0, 0.0, 1.0, 0.45, 0.36]),
+    (1.0, [0.5, 4.0, 0.5, 0.3, 0.45, 0.36]),
+];

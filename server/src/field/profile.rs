@@ -13,7 +13,7 @@ const STRATUS_TOP: f64 = 0.14;
 /// v(t, h) for t and h in 0…1. Zero at both ends of the layer.
 ///
 /// Low: from stratus to cumulus the top rises with the square root of the type (P. Ford 2024, 4.2.1); towers stand in a
-/// narrower column under an anvil. High: from a veil as thick as the layer to lenses. Shapes are tuned by eye.
+/// narrower column, and the tallest spread out in an anvil. High: from a veil as thick as the layer to lenses. Shapes are tuned by eye.
 #[must_use]
 pub fn vertical_profile(profile: WeatherProfile, cloud_type: f64, height_fraction: f64) -> f64 {
     let h = height_fraction;
@@ -26,7 +26,12 @@ pub fn vertical_profile(profile: WeatherProfile, cloud_type: f64, height_fractio
             let column = 1.0 - 0.4 * smoothstep(0.2, 0.6, h);
             let anvil = smoothstep(0.66, 0.82, h);
             let tower = (column + (1.0 - column) * anvil) * (1.0 - smoothstep(0.9, 1.0, h));
-            rise * mix(heap, tower, smoothstep(0.68, 0.82, cloud_type))
+            // Towers that have reached the tropopause: half their base's coverage in the column, all of it in the anvil.
+            let shaft = mix(0.68, 0.42, smoothstep(0.12, 0.45, h));
+            let spread_out = mix(shaft, 1.0, smoothstep(0.74, 0.81, h));
+            let storm = spread_out * (1.0 - smoothstep(0.87, 1.0, h));
+            let heap_or_tower = mix(heap, tower, smoothstep(0.68, 0.82, cloud_type));
+            rise * mix(heap_or_tower, storm, smoothstep(0.85, 0.95, cloud_type))
         }
         WeatherProfile::High => {
             let veil = smoothstep(0.0, 0.3, h) * (1.0 - smoothstep(0.6, 1.0, h));

@@ -560,6 +560,7 @@ fn layer_uniform(
         uniform.steepness = form.steepness as f32;
         uniform.dome = form.dome as f32;
         uniform.wispiness = form.wispiness as f32;
+        uniform.type_spread = form.type_spread as f32;
         uniform.skip_range_m = (weather.map_span_m() * SKIP_RANGE_SHARE) as f32;
     }
     uniform

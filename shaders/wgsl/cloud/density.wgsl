@@ -147,8 +147,6 @@ const COVERAGE_SOFTNESS: f32 = 0.55;
 const DETAIL_MEAN: f32 = 0.5;
 /// Half the width of what most of the detail's values lie in.
 const DETAIL_SPREAD: f32 = 0.3;
-/// Share of the type map in the local type.
-const TYPE_SPREAD: f32 = 0.45;
 
 /// What the layer's map holds at a horizontal position: x coverage, y type, z distance to the nearest possible cloud
 /// as a share of the layer's skip range.
@@ -163,9 +161,9 @@ fn coverage_from_map(layer_coverage: f32, map_value: f32) -> f32 {
     return saturate((map_value - threshold) / COVERAGE_SOFTNESS);
 }
 
-/// Local type in 0...1 before the dome's share.
-fn type_from_map(layer_type: f32, map_value: f32) -> f32 {
-    return saturate(layer_type * (1.0 - TYPE_SPREAD + TYPE_SPREAD * map_value));
+/// Local type in 0...1 before the dome's share. type_spread: share of the type map in it.
+fn type_from_map(layer_type: f32, type_spread: f32, map_value: f32) -> f32 {
+    return saturate(layer_type * (1.0 - type_spread + type_spread * map_value));
 }
 
 /// Vertical profile: how much of its coverage a cloud of this type keeps at a height fraction of the layer.
@@ -179,7 +177,7 @@ fn vertical_profile(layer: Layer, cloud_type: f32, height_fraction: f32) -> f32 
 fn dimensional_profile(layer: Layer, map: vec3f, height_fraction: f32) -> f32 {
     count_density();
     let coverage = coverage_from_map(layer.coverage, map.x);
-    let cloud_type = type_from_map(layer.cloud_type, map.y) * mix(1.0, coverage, layer.dome);
+    let cloud_type = type_from_map(layer.cloud_type, layer.type_spread, map.y) * mix(1.0, coverage, layer.dome);
     return coverage * vertical_profile(layer, cloud_type, height_fraction);
 }
 

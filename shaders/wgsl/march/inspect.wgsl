@@ -55,9 +55,9 @@ fn value_at(layer: Layer, position: vec3f, altitude: f32) -> vec2f {
 #else
 #ifdef SHOW_TYPE
 #ifdef FROM_ABOVE
-    let found = vec2f(type_from_map(layer.cloud_type, map.y), 1.0);
+    let found = vec2f(type_from_map(layer.cloud_type, layer.type_spread, map.y), 1.0);
 #else
-    let found = vec2f(type_from_map(layer.cloud_type, map.y), profile);
+    let found = vec2f(type_from_map(layer.cloud_type, layer.type_spread, map.y), profile);
 #endif
 #else
 #ifdef SHOW_DENSITY

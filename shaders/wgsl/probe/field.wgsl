@@ -53,8 +53,8 @@ fn probe_field(@builtin(global_invocation_id) id: vec3u) {
             let first = first_sample_at(stepped, a.z, a.w);
             value = vec4f(steps, distance_at_m(stepped, steps), first, distance_at_m(stepped, first));
         }
-        // coverage_from_map(layer's = a.x, map's = a.y), type_from_map(layer's = a.z, map's = a.w)
-        case 2u: { value = vec4f(coverage_from_map(a.x, a.y), type_from_map(a.z, a.w), 0.0, 0.0); }
+        // coverage_from_map(layer's = a.x, map's = a.y), type_from_map(layer's = a.z, spread = b.x, map's = a.w)
+        case 2u: { value = vec4f(coverage_from_map(a.x, a.y), type_from_map(a.z, b.x, a.w), 0.0, 0.0); }
         // Density at a.xyz with the weight a.w of detail; smooth density, altitude and dimensional profile; then the map.
         case 3u: {
             let altitude = altitude_m(world.planet.radius_m, a.xyz);

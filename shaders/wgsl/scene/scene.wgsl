@@ -144,6 +144,9 @@ struct Layer {
     wispiness: f32,
     /// 1 - mean cosine of the phase.
     transport_share: f32,
+    /// Share of the type map in the local type, 0...1.
+    type_spread: f32,
+    pad_form: f32,
     /// Spectral irradiance of the sun at the layer's base, on a surface that faces it, and how it grows with the share f of
     /// the layer's height: base + f (slope + f curve).
     sun_at_base: vec3f,

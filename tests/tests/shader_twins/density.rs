@@ -157,13 +157,14 @@ fn coverage_and_type_are_straight_lines_that_end_at_0_and_1() {
                 }
             };
             let a = [part(), part(), part(), part()].map(|v| v as f32);
-            [a, [0.0; 4], [0.0; 4], [0.0; 4]]
+            [a, [part() as f32, 0.0, 0.0, 0.0], [0.0; 4], [0.0; 4]]
         })
         .collect();
     let values = probe.ask(FieldQuestion::CoverageAndType, &points);
-    let check = |softness: f64, spread: f64| {
+    let check = |softness: f64, spread_factor: f64| {
         worst(points.iter().zip(&values).flat_map(|(point, value)| {
             let [layer, map, layer_type, type_map] = point[0].map(f64::from);
+            let spread = spread_factor * f64::from(point[1][0]);
             // Clear at 0 whatever the map holds, solid at 1; in between a rise of width `softness`.
             let threshold = 1.0 - (1.0 + softness) * layer;
             let coverage = ((map - threshold) / softness).clamp(0.0, 1.0);
@@ -178,14 +179,14 @@ fn coverage_and_type_are_straight_lines_that_end_at_0_and_1() {
     judge(
         "coverage and type",
         points.len(),
-        check(0.55, 0.45),
-        check(0.5, 0.45),
+        check(0.55, 1.0),
+        check(0.5, 1.0),
     );
     judge(
         "type alone",
         points.len(),
-        check(0.55, 0.45),
-        check(0.55, 0.4),
+        check(0.55, 1.0),
+        check(0.55, 0.9),
     );
 }
 

@@ -18,7 +18,8 @@ fn step(from: f64, to: f64, h: f64) -> f64 {
 /// How much of its coverage a cloud keeps: type 0…1 of a profile, height fraction 0…1 of the layer.
 ///
 /// Low: the top rises with the square root of the type (P. Ford 2024, 4.2.1) and closes with the sixth power of the height; above
-/// type 0.7 heaps become towers, which are 0.6 as wide in their middle and whole again in their anvil. High: a veil that
+/// type 0.7 heaps become towers, which keep 0.6 in their middle, and above 0.85 storms, which keep 0.68 at their base, 0.42 in
+/// their shaft and all in their anvil. High: a veil that
 /// thins above 0.6 becomes a lens.
 #[must_use]
 pub fn vertical_profile(profile: WeatherProfile, cloud_type: f64, h: f64) -> f64 {
@@ -29,7 +30,12 @@ pub fn vertical_profile(profile: WeatherProfile, cloud_type: f64, h: f64) -> f64
             let narrowed = 0.4 * step(0.2, 0.6, h) * (1.0 - step(0.66, 0.82, h));
             let tower = (1.0 - narrowed) * (1.0 - step(0.9, 1.0, h));
             let towering = step(0.68, 0.82, cloud_type);
-            step(0.0, BASE_RISE, h) * (heap * (1.0 - towering) + tower * towering)
+            let heap_or_tower = heap * (1.0 - towering) + tower * towering;
+            let shaft = 0.68 - 0.26 * step(0.12, 0.45, h);
+            let in_anvil = step(0.74, 0.81, h);
+            let storm = (shaft * (1.0 - in_anvil) + in_anvil) * (1.0 - step(0.87, 1.0, h));
+            let storming = step(0.85, 0.95, cloud_type);
+            step(0.0, BASE_RISE, h) * (heap_or_tower * (1.0 - storming) + storm * storming)
         }
         WeatherProfile::High => {
             let veil = step(0.0, 0.3, h) * (1.0 - step(0.6, 1.0, h));

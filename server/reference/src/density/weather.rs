@@ -12,8 +12,6 @@ pub const COVERAGE_SOFTNESS: f64 = 0.55;
 pub const DETAIL_MEAN: f64 = 0.5;
 /// Half the width of what most of the detail's values lie in.
 pub const DETAIL_SPREAD: f64 = 0.3;
-/// Share of the type map in the local type.
-pub const TYPE_SPREAD: f64 = 0.45;
 /// Share of the map's span that the skip map means at 1.
 pub const SKIP_RANGE_SHARE: f64 = 0.25;
 
@@ -100,7 +98,8 @@ impl Weather {
     /// Local type for what the map holds, before the dome's share.
     #[must_use]
     pub fn type_from_map(&self, map_value: f64) -> f64 {
-        (self.cloud_type * (1.0 - TYPE_SPREAD + TYPE_SPREAD * map_value)).clamp(0.0, 1.0)
+        let spread = self.form.type_spread;
+        (self.cloud_type * (1.0 - spread + spread * map_value)).clamp(0.0, 1.0)
     }
 
     /// Local type under a local coverage: where there are domes, rims are flatter than middles.
