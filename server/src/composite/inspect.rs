@@ -92,14 +92,7 @@ impl Inspections {
                         contents: bytemuck::bytes_of(&told),
                         usage: wgpu::BufferUsages::UNIFORM,
                     });
-                gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                    label: Some("inspection"),
-                    layout: &pipelines.question_layout,
-                    entries: &[wgpu::BindGroupEntry {
-                        binding: 0,
-                        resource: buffer.as_entire_binding(),
-                    }],
-                })
+                gpu.buffer_group("inspection", &pipelines.question_layout, &[&buffer])
             })
             .collect();
         Self { groups }

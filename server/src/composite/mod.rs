@@ -191,12 +191,7 @@ impl Part {
         pixels: &wgpu::Buffer,
         rays: Option<&wgpu::Buffer>,
     ) -> Self {
-        let view = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("view"),
-            size: size_of::<layout::View>() as u64,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let view = gpu.uniform_buffer("view", size_of::<layout::View>());
         let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("picture"),
             layout: &pipelines.picture_layout,

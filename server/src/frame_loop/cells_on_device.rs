@@ -266,10 +266,11 @@ impl SkyRenderer {
             }
             cell.requests_changed = false;
         }
+        let drifts = windy || self.evolution_max_m_per_s() > 0.0;
         for (layer, active) in (0..).zip(&self.active) {
-            self.caches
-                .sphere_mut(SphereId { cell: id, layer })
-                .set_evolved(self.drifts[active.scene_index].y);
+            let sphere = self.caches.sphere_mut(SphereId { cell: id, layer });
+            sphere.set_evolved(self.drifts[active.scene_index].y);
+            sphere.set_drifts(drifts);
         }
         let now = Instant::now();
         let ages = (self.ages_are_shown(id)

@@ -523,3 +523,75 @@ impl Start {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::march::{MarchSettings, WindowPlan};
+    use skycell_shaders::SourceEdit;
+    use std::path::PathBuf;
+
+    /// Lets one window slide over `frames` frames: again and again the camera turns for some frames, never the same number,
+    /// and rests for a window. Returns how many of the pictures at rest are not the first one, to the last bit, and of how many.
+    fn strayed(edit: Option<SourceEdit>, frames: u32) -> (u32, u32) {
+        let noise = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/noise-of-tests");
+        let config = RenderConfig::new(PathBuf::from(noise));
+        let mut still = StillRenderer::new(config, Arc::default(), &[]).expect("a device");
+        still.plant(edit).expect("shaders");
+        let size = FrameSize::new(16, 12).expect("a size");
+        let camera = Camera::new([0.0, 2.0, 0.0], 0.0, 30.0, 60.0).expect("a camera");
+        let plan = WindowPlan {
+            frames: 16,
+            divisor: 4,
+            depth_segments: 3,
+            refinement: 2,
+        };
+        let settings = StillSettings {
+            renderer: RendererKind::ScreenSpace,
+            march: MarchSettings {
+                steps: 16,
+                ..MarchSettings::default()
+            },
+            window: Some(plan),
+            frames: plan.frames,
+            resting_frames: plan.frames,
+            ..StillSettings::default()
+        };
+        let fresh = still
+            .render_with(camera, size, &settings, |_| {})
+            .expect("a picture");
+        let (mut done, mut pictures, mut strayed) = (plan.frames, 0, 0);
+        while done < frames {
+            let moving = StillSettings {
+                frames: plan.frames + 1 + pictures % 23,
+                turn_deg_per_frame: 0.37 * f64::from(1 + pictures % 7),
+                ..settings
+            };
+            still
+                .march_frames(camera, &moving, |_| {})
+                .expect("frames of the same window");
+            done += moving.frames;
+            pictures += 1;
+            let (_, linear) = still.composites(size, true, &settings).expect("a picture");
+            strayed += u32::from(linear != fresh.linear);
+        }
+        println!("{done} frames, {pictures} pictures at rest, {strayed} of them not the first");
+        (strayed, pictures)
+    }
+
+    #[test]
+    fn a_window_that_has_slid_over_thousands_of_frames_shows_at_rest_what_a_fresh_one_shows() {
+        let (changed, pictures) = strayed(None, 4_000);
+        assert_eq!(changed, 0, "of {pictures}");
+        // Planted: a mean that forgets instead of a window. It is found wherever the window stood in its ring.
+        let trace: SourceEdit = |path, source| match path {
+            "march/resolve.wgsl" => source.replace(
+                "marched[at] = mean.light.x;",
+                "marched[at] = mix(mean.light.x, marched[at], 0.7);",
+            ),
+            _ => source.to_owned(),
+        };
+        let (changed, pictures) = strayed(Some(trace), 200);
+        assert_eq!(changed, pictures);
+    }
+}
