@@ -93,7 +93,7 @@ pub struct Want {
     pub viewers: u32,
     /// Smallest angle from the middle of a picture.
     pub eccentricity_rad: f64,
-    /// Distance of what it shows, m.
+    /// Distance of the nearest of what it shows, m.
     pub distance_m: f64,
 }
 

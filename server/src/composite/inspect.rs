@@ -126,7 +126,8 @@ impl Picture {
         let made: Vec<&wgpu::ComputePipeline> =
             keys.filter_map(|key| pipelines.get(*key)).collect();
         if made.len() != groups.len() || made.is_empty() {
-            encoder.clear_buffer(&self.pixels, 0, None);
+            let black = [0, 0, 0, u8::MAX].repeat(self.size.pixels() as usize);
+            gpu.queue.write_buffer(&self.pixels, 0, &black);
             return;
         }
         let view = layout::View {

@@ -231,12 +231,11 @@ impl Picture {
         rays: Option<&wgpu::Buffer>,
     ) -> Self {
         let bytes = u64::from(size.pixels()) * if linear { 16 } else { 4 };
-        let pixels = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("picture"),
-            size: bytes,
-            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
-            mapped_at_creation: false,
-        });
+        // Where there is nothing to inspect, black is copied to it.
+        let usage = wgpu::BufferUsages::STORAGE
+            | wgpu::BufferUsages::COPY_SRC
+            | wgpu::BufferUsages::COPY_DST;
+        let pixels = gpu.buffer("picture", bytes, usage);
         Self {
             sky: Part::new(gpu, pipelines, &pixels, rays),
             ground: Part::new(gpu, pipelines, &pixels, rays),

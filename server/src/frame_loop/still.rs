@@ -579,6 +579,65 @@ mod tests {
         (strayed, pictures)
     }
 
+    /// Two layers with a gap between them, no wind.
+    fn two_layers() -> Arc<Scene> {
+        let document = serde_json::json!({"version": 1, "wind": {"speed_m_per_s": 0}, "layers": [
+            {"name": "low", "base_altitude_m": 1500, "top_altitude_m": 2500,
+             "density": {"model": "weather", "coverage": 0.6, "type": 0.5}},
+            {"name": "high", "base_altitude_m": 4000, "top_altitude_m": 4600,
+             "density": {"model": "weather", "coverage": 0.4, "type": 0.2, "seed": 3}}]});
+        Arc::new(Scene::from_json(&document).expect("a scene"))
+    }
+
+    /// Mean difference of what is shown, in steps of 8 bits.
+    fn apart(a: &[u8], b: &[u8]) -> f64 {
+        let sum: f64 = a
+            .iter()
+            .zip(b)
+            .map(|(a, b)| f64::from(a.abs_diff(*b)))
+            .sum();
+        // Opacity is always the same.
+        sum / (0.75 * a.len() as f64)
+    }
+
+    #[test]
+    fn a_camera_that_has_jumped_is_shown_what_one_is_shown_that_was_always_there() {
+        let noise = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/noise-of-tests");
+        let config = RenderConfig::new(PathBuf::from(noise));
+        let mut still = StillRenderer::new(config, two_layers(), &[]).expect("a device");
+        let settings = StillSettings {
+            march: MarchSettings {
+                steps: 48,
+                ..MarchSettings::default()
+            },
+            ..StillSettings::default()
+        };
+        let at = |altitude_m: f64| {
+            Camera::new([200.0, altitude_m, -300.0], 40.0, 20.0, 60.0).expect("a camera")
+        };
+        let size = FrameSize::new(160, 90).expect("a size");
+        // Up to 5 m under the base and down again, and less than what makes a new anchor.
+        for (from_m, to_m) in [(2.0, 1495.0), (1400.0, 2.0), (2.0, 400.0)] {
+            let [there, before] = [to_m, from_m].map(|altitude_m| {
+                still
+                    .render_with(at(altitude_m), size, &settings, |_| {})
+                    .expect("a picture")
+            });
+            let input = skycell_protocol::InputSequence(1);
+            still.renderer.set_camera(VIEWER, input, at(to_m));
+            still.march_all(false, |_| {}).expect("marched");
+            let (jumped, _) = still.composites(size, false, &settings).expect("a picture");
+            let [off, way] =
+                [&jumped, &before.display].map(|picture| apart(&there.display, picture));
+            println!("from {from_m} to {to_m} m: {off:.2} off, of {way:.2}");
+            // Half a step of the 256 of a channel.
+            assert!(
+                off < 0.5 && way > 5.0,
+                "from {from_m} to {to_m} m: {off} of {way}"
+            );
+        }
+    }
+
     #[test]
     fn a_window_that_has_slid_over_thousands_of_frames_shows_at_rest_what_a_fresh_one_shows() {
         let (changed, pictures) = strayed(None, 4_000);

@@ -176,13 +176,12 @@ fn at(document: &Value, since_s: f64) -> Scene {
 /// that were carried to the ends of the document.
 pub(crate) fn timelines(stage: &mut Stage) -> Line {
     let mut line = Line::new("timelines");
-    let mut shown =
-        |stage: &mut Stage, line: &mut Line, what: &str, document: &Value, since_s: f64| {
-            stage.show(at(document, since_s));
-            let picture = stage.look(up(), size(16, 9), SCREEN);
-            line.picture(format!("{what} after {since_s} s"), &picture);
-            picture
-        };
+    let shown = |stage: &mut Stage, line: &mut Line, what: &str, document: &Value, since_s: f64| {
+        stage.show(at(document, since_s));
+        let picture = stage.look(up(), size(16, 9), SCREEN);
+        line.picture(format!("{what} after {since_s} s"), &picture);
+        picture
+    };
     let still = json!({"wind": {"speed_m_per_s": 0}});
     let merged = |patch: Value| super::stage::merged(weather(still.clone()), patch);
     // Nothing happens before the epoch of a stopped clock, and nothing after it has been stopped.
@@ -212,10 +211,8 @@ pub(crate) fn timelines(stage: &mut Stage) -> Line {
             "top_altitude_m": 7000, "density": {"model": "weather", "seed": 2}}]});
     let new = json!({"sun": {"elevation_deg": 70}, "layers": [{"name": "low", "density": {"model": "weather", "coverage": 0.2}},
         {"name": "comes", "base_altitude_m": 9000, "top_altitude_m": 9100, "density": {"model": "cirrus"}}]});
-    let ends = [old.clone(), merged(new.clone())].map(|end| {
-        stage.scene(&end);
-        stage.look(up(), size(16, 9), SCREEN)
-    });
+    let ends = [old.clone(), merged(new.clone())]
+        .map(|end| shown(stage, &mut line, "an end of a transition", &end, 0.0));
     for duration_s in [0.0, 1e-3, 86_400.0] {
         let mut on_the_way = merged(new.clone());
         on_the_way["transition"] = json!({"began": NOW, "duration_s": duration_s, "from": old});

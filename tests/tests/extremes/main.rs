@@ -61,12 +61,12 @@ const CASES: [(Run, usize); 33] = [
     (window::any, 39),
     (scattering::any, 135),
     (scattering::furnace, 18),
-    (looks::night, 0),
-    (looks::tone, 0),
-    (looks::views, 0),
-    (documents::fields, 0),
-    (documents::light, 0),
-    (documents::timelines, 0),
+    (looks::night, 33),
+    (looks::tone, 24),
+    (looks::views, 58),
+    (documents::fields, 50),
+    (documents::light, 28),
+    (documents::timelines, 41),
 ];
 
 fn check(index: usize) {
