@@ -107,8 +107,11 @@ async fn a_camera_from_the_ground_through_a_cloud_to_orbit_is_never_shown_a_brok
     let config = RenderConfig::new(target_dir()?.join("noise-of-tests"));
     let mut still = StillRenderer::new(config, reference_scene, &[])?;
 
+    // What was seen and what rays see, side by side for whoever wants to look.
+    let pictures = target_dir()?.join("pictures-of-tests/camera-anywhere");
+    std::fs::create_dir_all(&pictures)?;
     // Down again at the end: back to the cache.
-    for (altitude_m, pitch_deg, renderer) in [
+    for (place, (altitude_m, pitch_deg, renderer)) in [
         (2.0, 20.0, "cached"),
         (1495.0, 20.0, "cached"),
         (1505.0, 20.0, "screen-space"),
@@ -118,7 +121,10 @@ async fn a_camera_from_the_ground_through_a_cloud_to_orbit_is_never_shown_a_brok
         (12_000.0, -15.0, "screen-space"),
         (400_000.0, -20.0, "screen-space"),
         (1400.0, 20.0, "cached"),
-    ] {
+    ]
+    .into_iter()
+    .enumerate()
+    {
         let camera = camera(altitude_m, pitch_deg)?;
         let input = viewer.look(camera).await?;
         let shown = |seen: &skycell_tests::Seen| {
@@ -142,6 +148,8 @@ async fn a_camera_from_the_ground_through_a_cloud_to_orbit_is_never_shown_a_brok
         );
         let reference = by_rays(&mut still, camera, quality);
         let flip = distance(&picture, &reference)?.flip;
+        picture.save(pictures.join(format!("{place}-shown.png")))?;
+        reference.save(pictures.join(format!("{place}-by-rays.png")))?;
         println!(
             "{altitude_m:>8} m  {is:<12} FLIP {flip:.4}, black {:.3}",
             black(&picture)

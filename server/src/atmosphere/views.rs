@@ -270,25 +270,6 @@ fn texture(
     })
 }
 
-fn bind(
-    gpu: &Gpu,
-    layout: &wgpu::BindGroupLayout,
-    resources: &[wgpu::BindingResource<'_>],
-) -> wgpu::BindGroup {
-    let entries: Vec<_> = (0..)
-        .zip(resources)
-        .map(|(binding, resource)| wgpu::BindGroupEntry {
-            binding,
-            resource: resource.clone(),
-        })
-        .collect();
-    gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("air"),
-        layout,
-        entries: &entries,
-    })
-}
-
 impl View {
     fn new(
         gpu: &Gpu,
@@ -298,12 +279,7 @@ impl View {
         altitude_m: f64,
     ) -> Self {
         use wgpu::BindingResource::{Sampler, TextureView};
-        let air = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("air"),
-            size: size_of::<layout::Air>() as u64,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let air = gpu.uniform_buffer("air", size_of::<layout::Air>());
         let made = |label, size| {
             texture(gpu, label, size, wgpu::TextureUsages::STORAGE_BINDING)
                 .create_view(&wgpu::TextureViewDescriptor::default())
@@ -318,8 +294,8 @@ impl View {
             made: None,
             used: 0,
             altitude_m,
-            base_group: bind(
-                gpu,
+            base_group: gpu.bind_group(
+                "air",
                 &pipelines.air_base_layout,
                 &[
                     air.as_entire_binding(),
@@ -330,19 +306,19 @@ impl View {
                 ],
             ),
             out_groups: [
-                bind(
-                    gpu,
+                gpu.bind_group(
+                    "air",
                     &pipelines.air_view_layout,
                     &[TextureView(&scattered), TextureView(&aerosol)],
                 ),
-                bind(
-                    gpu,
+                gpu.bind_group(
+                    "air",
                     &pipelines.air_haze_layout,
                     &[TextureView(&source), TextureView(&extinction)],
                 ),
             ],
-            read_group: bind(
-                gpu,
+            read_group: gpu.bind_group(
+                "air",
                 &pipelines.air_layout,
                 &[
                     air.as_entire_binding(),

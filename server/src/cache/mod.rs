@@ -180,11 +180,15 @@ impl Caches {
     ) -> Vec<TileUpdate> {
         let mut candidates = Vec::new();
         let mut found = Vec::new();
-        for (id, sphere) in &self.spheres {
+        let all_samples = self.samples;
+        for (id, sphere) in &mut self.spheres {
             let Some(reference) = references(*id) else {
                 continue;
             };
-            sphere.candidates(self.samples_of(sphere), reference, self.is_calm, &mut found);
+            sphere.plan_at(reference);
+            let samples = sphere.samples().unwrap_or(all_samples);
+            sphere.candidates(samples, reference, self.is_calm, &mut found);
+            //.samples_of(sphere), reference, self.is_calm, &mut found);
             candidates.extend(found.drain(..).map(|candidate| (*id, reference, candidate)));
         }
         candidates.sort_unstable_by(|a, b| a.2.rank(&b.2).then(a.0.cmp(&b.0)));

@@ -68,6 +68,7 @@ impl ViewFrustum {
 struct Cone {
     axis: DVec3,
     half_angle_rad: f64,
+    /// Distance of its nearest part, m.
     distance_m: f64,
     /// Solid angle of the tile's sphere element seen from the eye, relative to that seen from the anchor.
     solid_angle_ratio: f64,
@@ -77,11 +78,13 @@ fn tile_cone(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> Cone {
     let middle = sphere.point(tile.direction(DVec2::splat(0.5)));
     let axis = (middle - eye).normalize_or_zero();
     let mut half_angle_rad: f64 = 0.0;
+    let mut nearest_m = f64::INFINITY;
     for y in 0..3 {
         for x in 0..3 {
             let within = DVec2::new(f64::from(x), f64::from(y)) / 2.0;
-            let to = (sphere.point(tile.direction(within)) - eye).normalize_or_zero();
-            half_angle_rad = half_angle_rad.max(axis.angle_between(to));
+            let from_eye = sphere.point(tile.direction(within)) - eye;
+            nearest_m = nearest_m.min(from_eye.length());
+            half_angle_rad = half_angle_rad.max(axis.angle_between(from_eye.normalize_or_zero()));
         }
     }
     let from_anchor = middle - sphere.anchor;
@@ -95,7 +98,8 @@ fn tile_cone(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> Cone {
         axis,
         // Edges bulge between the nine points by less than a tenth.
         half_angle_rad: 1.1 * half_angle_rad,
-        distance_m: from_eye.length(),
+        // The middle of a tile at the horizon may be on the other side of the planet.
+        distance_m: nearest_m,
         solid_angle_ratio,
     }
 }
@@ -131,7 +135,7 @@ pub struct TileRequest {
     pub key: TileKey,
     /// Angle from the middle of the picture, rad.
     pub eccentricity_rad: f64,
-    /// Distance of the tile from the viewer, m.
+    /// Distance of the tile's nearest part from the viewer, m.
     pub distance_m: f64,
 }
 

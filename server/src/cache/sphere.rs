@@ -8,12 +8,22 @@ use skycell_protocol::show::{AGE_HIGH_S, AGE_LOW_S};
 use std::collections::HashMap;
 use std::time::Instant;
 
-/// A tile is marched anew when the reference point has moved this far, as an angle seen from what it shows. About four
-/// pixels of a small picture: below it the change of perspective is not seen.
-pub(super) const AGE_REFRESH_RAD: f64 = 0.012;
-/// Beyond this angle old and new samples no longer show the same picture: accumulation starts again.
-pub(super) const AGE_RESTART_RAD: f64 = 0.06;
-/// Share of a sample that refreshes an aged but converged tile.
+/// A step of age: the reference point has moved this far, as an angle seen from what a tile shows. About four pixels of a
+/// small picture.
+pub(super) const AGE_STEP_RAD: f64 = 0.012;
+/// While wind or rising noise age it all the time, a tile takes a sample when its mixture is this many steps of age behind, ...
+pub(super) const AGE_DRIFTING: f64 = 2.0;
+/// ... of which a sample leaves at most so many. ...
+const AGE_KEPT: f64 = 1.5;
+/// ... Without them, a mixture farther behind than this, a pixel of a small picture, is accumulated anew: a reference that has
+/// jumped is at rest. Accumulated once, eight samples leave less than this of what is not replaced at once: 5/17.
+pub(super) const AGE_REST: f64 = 0.3;
+/// Beyond so many steps old and new samples no longer show the same picture: what was there is replaced.
+pub(super) const AGE_RESTART: f64 = 5.0;
+/// What is accumulated anew begins with what was there, which counts as so many samples: of N new ones it is a share of
+/// 1/(2 N + 1) at the end, and until then no tile shows the noise of a single sample.
+const OLD_SAMPLES: f32 = 0.5;
+/// Least share of a sample that refreshes an aged but converged tile.
 const REFRESH_WEIGHT: f32 = 0.25;
 /// A tile is mixed towards the present sky when it is this many unseen steps behind a sky that moves, ...
 const BEHIND_MOVING: f64 = 1.0;
@@ -33,6 +43,8 @@ pub(super) struct Tile {
     pub(super) slot: Slot,
     /// Samples of the current generation, 0 before the first.
     samples: u32,
+    /// Samples that what was there before them counts as.
+    old_samples: f32,
     /// Samples ever: 0 means that the slot holds nothing to show.
     visits: u32,
     generation: u32,
@@ -49,6 +61,8 @@ pub(super) struct Tile {
     moved: f64,
     /// How far behind the sky of then the mixture was, steps.
     left: f64,
+    /// How far the mixture was behind its last sample's reference and noise, m.
+    left_m: f64,
 }
 
 impl Tile {
@@ -79,7 +93,7 @@ pub struct Want {
     pub viewers: u32,
     /// Smallest angle from the middle of a picture.
     pub eccentricity_rad: f64,
-    /// Distance of what it shows, m.
+    /// Distance of the nearest of what it shows, m.
     pub distance_m: f64,
 }
 
@@ -111,7 +125,7 @@ pub(super) struct Candidate {
     pub(super) key: TileKey,
     pub(super) urgency: Urgency,
     samples: u32,
-    /// Steps that it is behind a sky that moves.
+    /// Steps that it is behind a sky and a reference that move.
     behind: u32,
     eccentricity_rad: f64,
 }
@@ -148,6 +162,10 @@ pub struct SphereCache {
     generation: u32,
     /// How far the noise has risen through the clouds, m.
     evolved_m: f64,
+    /// Whether wind carries the clouds past the reference or noise rises through them.
+    drifts: bool,
+    /// Where rays started when updates were last planned.
+    reference: Option<DVec3>,
     /// How often the clouds have changed a little.
     refreshes: u32,
     /// The sky's way so far, in steps that are just not seen.
@@ -172,6 +190,11 @@ impl SphereCache {
     /// How far the noise has risen through the clouds: tiles age by it as they do by a reference that moves as far.
     pub fn set_evolved(&mut self, evolved_m: f64) {
         self.evolved_m = evolved_m;
+    }
+
+    /// Whether wind carries the clouds past the reference or noise rises through them, so that tiles age all the time.
+    pub fn set_drifts(&mut self, drifts: bool) {
+        self.drifts = drifts;
     }
 
     /// Whether every wanted tile has had a sample since the clouds last changed.
@@ -282,13 +305,29 @@ impl SphereCache {
             .map(|(key, want)| {
                 let have = self.samples_of(key).unwrap_or(0);
                 let missing = u64::from(want.samples(samples).saturating_sub(have));
-                let behind = self
-                    .tiles
-                    .get(key)
-                    .map_or(0.0, |tile| tile.behind(self.moved));
-                missing.max(u64::from(behind > behind_max(true, want)))
+                let Some(tile) = self.tiles.get(key) else {
+                    return missing;
+                };
+                let behind = tile.behind(self.moved) > behind_max(true, want);
+                if missing == 0 && self.is_aged_at_rest(tile, want) {
+                    return u64::from(want.samples(samples));
+                }
+                missing.max(u64::from(behind))
             })
             .sum()
+    }
+
+    /// Whether a tile's mixture is visibly older than a reference that stands still over its clouds.
+    fn is_aged_at_rest(&self, tile: &Tile, want: &Want) -> bool {
+        !self.drifts
+            && self.reference.is_some_and(|reference| {
+                self.age_steps(tile, reference, want.distance_m) > AGE_REST
+            })
+    }
+
+    /// Notes where rays start now; updates are planned for that.
+    pub(super) fn plan_at(&mut self, reference: DVec3) {
+        self.reference = Some(reference);
     }
 
     /// Whether a tile shows the present scene at all.
@@ -318,12 +357,14 @@ impl SphereCache {
         is_calm: bool,
         into: &mut Vec<Candidate>,
     ) {
+        let age_max = if self.drifts { AGE_DRIFTING } else { AGE_REST };
         for (key, want) in &self.wanted {
             let coarse = key.level == 0;
             let tile = self.tiles.get(key);
             let have = self.samples_of(key).unwrap_or(0);
             let samples = want.samples(samples);
             let behind = tile.map_or(0.0, |tile| tile.behind(self.moved));
+            let age = tile.map_or(0.0, |tile| self.age_steps(tile, reference, want.distance_m));
             let urgency = match tile {
                 None if coarse => Urgency::Coarse,
                 None => Urgency::Missing,
@@ -333,9 +374,7 @@ impl SphereCache {
                 Some(_) if have == 0 => Urgency::Stale,
                 Some(_) if have < samples => Urgency::Unfinished,
                 Some(tile) if tile.refreshes != self.refreshes => Urgency::Aged,
-                Some(tile) if self.age_rad(tile, reference, want.distance_m) > AGE_REFRESH_RAD => {
-                    Urgency::Aged
-                }
+                Some(_) if age > age_max => Urgency::Aged,
                 Some(_) if behind > behind_max(is_calm, want) => Urgency::Aged,
                 Some(_) => continue,
             };
@@ -343,7 +382,7 @@ impl SphereCache {
                 key: *key,
                 urgency,
                 samples: have,
-                behind: behind.min(f64::from(u32::MAX)) as u32,
+                behind: (behind + age).min(f64::from(u32::MAX)) as u32,
                 eccentricity_rad: want.eccentricity_rad,
             });
         }
@@ -356,6 +395,7 @@ impl SphereCache {
             Tile {
                 slot,
                 samples: 0,
+                old_samples: 0.0,
                 visits: 0,
                 generation: self.generation,
                 marched_from: DVec3::ZERO,
@@ -365,6 +405,7 @@ impl SphereCache {
                 last_seen_frame: frame,
                 moved: self.moved,
                 left: 0.0,
+                left_m: 0.0,
             },
         );
     }
@@ -376,29 +417,36 @@ impl SphereCache {
         samples: u32,
         reference: DVec3,
     ) -> Option<(Slot, u32, f32)> {
-        let distance_m = self.wanted.get(&key).map_or(1.0, |want| want.distance_m);
-        let age_rad = self.age_rad(self.tiles.get(&key)?, reference, distance_m);
+        let want = self.wanted.get(&key).copied();
+        let distance_m = want.map_or(1.0, |want| want.distance_m);
+        let owed = want.map_or(samples, |want| want.samples(samples));
+        let age_m = self.age_m(self.tiles.get(&key)?, reference);
+        let age = steps_of_age(age_m, distance_m);
         let tile = self.tiles.get_mut(&key)?;
         let stale = tile.visits == 0 || tile.generation != self.generation;
         let behind = tile.behind(self.moved);
-        if stale || age_rad > AGE_RESTART_RAD || behind > BEHIND_RESTART {
+        if stale || age > AGE_RESTART || behind > BEHIND_RESTART {
             tile.samples = 0;
+            tile.old_samples = 0.0;
+        } else if !self.drifts && age > AGE_REST && tile.samples >= owed {
+            tile.samples = 0;
+            tile.old_samples = OLD_SAMPLES;
         }
         let weight = if tile.samples < samples {
-            1.0 / (tile.samples + 1) as f32
+            1.0 / ((tile.samples + 1) as f32 + tile.old_samples)
         } else {
             REFRESH_WEIGHT
         };
-        let weight = if behind > 0.0 {
-            weight.max((1.0 - BEHIND_KEPT / behind) as f32)
+        // A tile far behind comes as near as it may stay; one that is close takes little noise from one sample.
+        let weight = weight.max(weight_that_leaves(BEHIND_KEPT, behind));
+        let weight = if self.drifts {
+            weight.max(weight_that_leaves(AGE_KEPT, age))
         } else {
             weight
         };
-        tile.left = if tile.samples == 0 {
-            0.0
-        } else {
-            behind * f64::from(1.0 - weight)
-        };
+        let kept = f64::from(1.0 - weight);
+        tile.left = behind * kept;
+        tile.left_m = age_m * kept;
         tile.moved = self.moved;
         let index = if tile.samples < samples {
             tile.samples
@@ -418,11 +466,24 @@ impl SphereCache {
         Some((tile.slot, index, weight))
     }
 
-    /// How much of what a tile shows has moved since its last sample, as an angle: its reference, and the noise in it.
-    fn age_rad(&self, tile: &Tile, reference: DVec3, distance_m: f64) -> f64 {
+    /// How far what a tile's mixture shows is behind: its reference, and the noise in it, since its last sample, and what that
+    /// sample left of before, m. Never less than it is: a way back does not undo a way there.
+    fn age_m(&self, tile: &Tile, reference: DVec3) -> f64 {
         let moved_m = tile.marched_from.distance(reference);
         let evolved_m = (tile.evolved_m - self.evolved_m).abs();
-        (moved_m + evolved_m) / distance_m.max(1.0)
+        tile.left_m + moved_m + evolved_m
+    }
+
+    fn age_steps(&self, tile: &Tile, reference: DVec3, distance_m: f64) -> f64 {
+        steps_of_age(self.age_m(tile, reference), distance_m)
+    }
+
+    /// As if every tile had taken so many samples.
+    #[cfg(test)]
+    pub(super) fn set_visits(&mut self, visits: u32) {
+        for tile in self.tiles.values_mut() {
+            tile.visits = visits;
+        }
     }
 
     /// Takes a tile's slot away.
@@ -491,6 +552,20 @@ impl SphereCache {
             before = Some(start);
         }
         tables
+    }
+}
+
+/// An age as an angle from what a tile shows, in steps.
+fn steps_of_age(age_m: f64, distance_m: f64) -> f64 {
+    age_m / distance_m.max(1.0) / AGE_STEP_RAD
+}
+
+/// The weight of a sample that leaves a mixture `kept` steps of the `behind` that it was; 0 where it may keep all.
+fn weight_that_leaves(kept: f64, behind: f64) -> f32 {
+    if behind > kept {
+        (1.0 - kept / behind) as f32
+    } else {
+        0.0
     }
 }
 

@@ -92,10 +92,130 @@ fn a_reference_that_moves_ages_near_tiles_first_and_far_ones_not_at_all() {
     caches.sphere_mut(SPHERE).set_wanted(&[], &[near, far]);
     updates_until_converged(&mut caches);
     let moved = |_| Some(DVec3::new(50.0, 0.0, 0.0));
-    let updates = caches.plan(10, moved);
-    assert_eq!(updates.len(), 1);
-    assert_eq!(updates[0].key, near.key);
-    assert!(caches.plan(10, moved).is_empty());
+    for _ in 0..2 {
+        let updates = caches.plan(10, moved);
+        assert_eq!(updates.len(), 1);
+        assert_eq!(updates[0].key, near.key);
+    }
+}
+
+/// Where a tile's texels were marched from, as shares of the mixture.
+#[derive(Default)]
+struct Mixture(Vec<(DVec3, f64)>);
+
+impl Mixture {
+    fn take(&mut self, update: &TileUpdate, reference: DVec3) {
+        let weight = f64::from(update.weight);
+        for (_, share) in &mut self.0 {
+            *share *= 1.0 - weight;
+        }
+        self.0.push((reference, weight));
+    }
+
+    fn share_from(&self, reference: DVec3) -> f64 {
+        let from = self.0.iter().filter(|(place, _)| *place == reference);
+        from.map(|(_, share)| share).sum()
+    }
+
+    /// Mean distance of where the shares were marched from, m.
+    fn behind_m(&self, reference: DVec3) -> f64 {
+        let ways = self
+            .0
+            .iter()
+            .map(|(place, share)| (place.distance(reference), share));
+        ways.map(|(way_m, share)| way_m * share).sum()
+    }
+}
+
+#[test]
+fn after_a_jump_what_is_old_weighs_a_seventeenth_at_most_or_is_a_pixel_off() {
+    // A jump from the ground to 1.5 km, seen from tiles of any distance.
+    let jump_m = DVec3::Y * 1500.0;
+    for distance_m in [3e3, 2e4, 2.6e4, 4e4, 8e4, 1.2e5, 3e5, 4e5, 6e5] {
+        let mut caches = Caches::new(4, 8);
+        let wanted = TileRequest {
+            distance_m,
+            ..request(tile(1, 0, 0))
+        };
+        caches.sphere_mut(SPHERE).set_wanted(&[], &[wanted]);
+        let mut mixture = Mixture::default();
+        while let [update] = caches.plan(1, at_origin)[..] {
+            mixture.take(&update, DVec3::ZERO);
+        }
+        let mut samples = 0;
+        while let [update] = caches.plan(1, |_| Some(jump_m))[..] {
+            mixture.take(&update, jump_m);
+            samples += 1;
+            let sphere = caches.sphere(SPHERE).expect("there");
+            assert_eq!(sphere.pending_samples(8), 8 - samples, "{distance_m}");
+        }
+        let angle = 1500.0 / distance_m / sphere::AGE_STEP_RAD;
+        let old = mixture.share_from(DVec3::ZERO);
+        println!("{distance_m} m, {angle:.2} steps: {samples} samples, {old:.3} old");
+        let expected = match angle {
+            _ if angle > sphere::AGE_RESTART => (8, 0.0),
+            _ if angle > sphere::AGE_REST => (8, 1.0 / 17.0),
+            _ => (0, 1.0),
+        };
+        assert_eq!(samples, expected.0, "{distance_m}");
+        assert!((old - expected.1).abs() < 1e-6, "{distance_m} m: {old}");
+        assert!(old * angle < sphere::AGE_REST, "{distance_m} m: {old}");
+        // All new samples weigh the same: their mean is the middle of the texel.
+        let last = mixture.0.last().expect("a sample").1;
+        for (_, share) in mixture.0.iter().filter(|(place, _)| *place == jump_m) {
+            assert!((share - last).abs() < 1e-6);
+        }
+    }
+}
+
+#[test]
+fn under_wind_a_mixture_stays_two_steps_behind_at_most_however_long_it_blows() {
+    let wanted = request(tile(1, 0, 0));
+    let step_m = sphere::AGE_STEP_RAD * wanted.distance_m;
+    // A breeze, and a storm in which a tile's turn comes once in two steps.
+    for (way, bound) in [(0.01, 2.01), (2.0, 3.5)] {
+        let mut caches = Caches::new(4, 8);
+        let mut mixture = Mixture::default();
+        let mut samples = 0.0;
+        let rounds = 4_000;
+        for round in 0..rounds {
+            let reference = DVec3::X * f64::from(round) * way * step_m;
+            let sphere = caches.sphere_mut(SPHERE);
+            sphere.set_wanted(&[], &[wanted]);
+            sphere.set_drifts(true);
+            for update in caches.plan(1, |_| Some(reference)) {
+                assert!(round < 8 || update.weight >= 0.25);
+                mixture.take(&update, reference);
+                mixture.0.retain(|(_, share)| *share > 1e-12);
+                samples += 1.0;
+            }
+            let behind = mixture.behind_m(reference) / step_m;
+            assert!(behind <= bound, "{way}: {behind} steps in round {round}");
+        }
+        let per_step = samples / (f64::from(rounds) * way);
+        println!("{per_step:.2} samples a step at {way} steps a turn");
+        assert!(per_step < 2.2, "{per_step}");
+    }
+}
+
+#[test]
+fn counts_of_samples_may_go_round() {
+    let mut caches = Caches::new(1, 8);
+    let wanted = [request(tile(1, 0, 0))];
+    caches.sphere_mut(SPHERE).set_wanted(&[], &wanted);
+    updates_until_converged(&mut caches);
+    for visits in [1 << 16, 1 << 24, 1 << 31, u32::MAX] {
+        caches.sphere_mut(SPHERE).set_visits(visits - 3);
+        for _ in 0..8 {
+            caches.refresh_all();
+            let updates = caches.plan(1, at_origin);
+            assert!(updates.len() == 1 && updates[0].sample_index < 8);
+            assert_eq!(updates[0].weight, 0.25);
+            // A count of 0 would mean that there is nothing to show.
+            let tables = caches.sphere_mut(SPHERE).page_tables(None);
+            assert_ne!(tables.entries[tables.level_offsets[1] as usize], NO_TILE);
+        }
+    }
 }
 
 #[test]
@@ -198,7 +318,9 @@ fn noise_that_rises_ages_tiles_as_a_reference_that_moves_as_far() {
     let wanted = request(tile(1, 0, 0));
     caches.sphere_mut(SPHERE).set_wanted(&[], &[wanted]);
     updates_until_converged(&mut caches);
-    let refresh_m = sphere::AGE_REFRESH_RAD * wanted.distance_m;
+    caches.sphere_mut(SPHERE).set_drifts(true);
+    let step_m = sphere::AGE_STEP_RAD * wanted.distance_m;
+    let refresh_m = sphere::AGE_DRIFTING * step_m;
     caches.sphere_mut(SPHERE).set_evolved(0.99 * refresh_m);
     assert!(!caches.has_work(at_origin));
     caches.sphere_mut(SPHERE).set_evolved(1.01 * refresh_m);
@@ -206,7 +328,7 @@ fn noise_that_rises_ages_tiles_as_a_reference_that_moves_as_far() {
     assert!(updates.len() == 1 && updates[0].weight < 0.5);
     assert!(!caches.has_work(at_origin));
     // So far that old and new samples show other clouds.
-    let restart_m = sphere::AGE_RESTART_RAD * wanted.distance_m;
+    let restart_m = sphere::AGE_RESTART * step_m;
     caches
         .sphere_mut(SPHERE)
         .set_evolved(1.01 * (refresh_m + restart_m));

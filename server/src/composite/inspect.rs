@@ -92,14 +92,7 @@ impl Inspections {
                         contents: bytemuck::bytes_of(&told),
                         usage: wgpu::BufferUsages::UNIFORM,
                     });
-                gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                    label: Some("inspection"),
-                    layout: &pipelines.question_layout,
-                    entries: &[wgpu::BindGroupEntry {
-                        binding: 0,
-                        resource: buffer.as_entire_binding(),
-                    }],
-                })
+                gpu.buffer_group("inspection", &pipelines.question_layout, &[&buffer])
             })
             .collect();
         Self { groups }
@@ -133,7 +126,8 @@ impl Picture {
         let made: Vec<&wgpu::ComputePipeline> =
             keys.filter_map(|key| pipelines.get(*key)).collect();
         if made.len() != groups.len() || made.is_empty() {
-            encoder.clear_buffer(&self.pixels, 0, None);
+            let black = [0, 0, 0, u8::MAX].repeat(self.size.pixels() as usize);
+            gpu.queue.write_buffer(&self.pixels, 0, &black);
             return;
         }
         let view = layout::View {

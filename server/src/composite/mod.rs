@@ -191,12 +191,7 @@ impl Part {
         pixels: &wgpu::Buffer,
         rays: Option<&wgpu::Buffer>,
     ) -> Self {
-        let view = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("view"),
-            size: size_of::<layout::View>() as u64,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let view = gpu.uniform_buffer("view", size_of::<layout::View>());
         let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("picture"),
             layout: &pipelines.picture_layout,
@@ -236,12 +231,11 @@ impl Picture {
         rays: Option<&wgpu::Buffer>,
     ) -> Self {
         let bytes = u64::from(size.pixels()) * if linear { 16 } else { 4 };
-        let pixels = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("picture"),
-            size: bytes,
-            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
-            mapped_at_creation: false,
-        });
+        // Where there is nothing to inspect, black is copied to it.
+        let usage = wgpu::BufferUsages::STORAGE
+            | wgpu::BufferUsages::COPY_SRC
+            | wgpu::BufferUsages::COPY_DST;
+        let pixels = gpu.buffer("picture", bytes, usage);
         Self {
             sky: Part::new(gpu, pipelines, &pixels, rays),
             ground: Part::new(gpu, pipelines, &pixels, rays),

@@ -523,3 +523,134 @@ impl Start {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::march::{MarchSettings, WindowPlan};
+    use skycell_shaders::SourceEdit;
+    use std::path::PathBuf;
+
+    /// Lets one window slide over `frames` frames: again and again the camera turns for some frames, never the same number,
+    /// and rests for a window. Returns how many of the pictures at rest are not the first one, to the last bit, and of how many.
+    fn strayed(edit: Option<SourceEdit>, frames: u32) -> (u32, u32) {
+        let noise = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/noise-of-tests");
+        let config = RenderConfig::new(PathBuf::from(noise));
+        let mut still = StillRenderer::new(config, Arc::default(), &[]).expect("a device");
+        still.plant(edit).expect("shaders");
+        let size = FrameSize::new(16, 12).expect("a size");
+        let camera = Camera::new([0.0, 2.0, 0.0], 0.0, 30.0, 60.0).expect("a camera");
+        let plan = WindowPlan {
+            frames: 16,
+            divisor: 4,
+            depth_segments: 3,
+            refinement: 2,
+        };
+        let settings = StillSettings {
+            renderer: RendererKind::ScreenSpace,
+            march: MarchSettings {
+                steps: 16,
+                ..MarchSettings::default()
+            },
+            window: Some(plan),
+            frames: plan.frames,
+            resting_frames: plan.frames,
+            ..StillSettings::default()
+        };
+        let fresh = still
+            .render_with(camera, size, &settings, |_| {})
+            .expect("a picture");
+        let (mut done, mut pictures, mut strayed) = (plan.frames, 0, 0);
+        while done < frames {
+            let moving = StillSettings {
+                frames: plan.frames + 1 + pictures % 23,
+                turn_deg_per_frame: 0.37 * f64::from(1 + pictures % 7),
+                ..settings
+            };
+            still
+                .march_frames(camera, &moving, |_| {})
+                .expect("frames of the same window");
+            done += moving.frames;
+            pictures += 1;
+            let (_, linear) = still.composites(size, true, &settings).expect("a picture");
+            strayed += u32::from(linear != fresh.linear);
+        }
+        println!("{done} frames, {pictures} pictures at rest, {strayed} of them not the first");
+        (strayed, pictures)
+    }
+
+    /// Two layers with a gap between them, no wind.
+    fn two_layers() -> Arc<Scene> {
+        let document = serde_json::json!({"version": 1, "wind": {"speed_m_per_s": 0}, "layers": [
+            {"name": "low", "base_altitude_m": 1500, "top_altitude_m": 2500,
+             "density": {"model": "weather", "coverage": 0.6, "type": 0.5}},
+            {"name": "high", "base_altitude_m": 4000, "top_altitude_m": 4600,
+             "density": {"model": "weather", "coverage": 0.4, "type": 0.2, "seed": 3}}]});
+        Arc::new(Scene::from_json(&document).expect("a scene"))
+    }
+
+    /// Mean difference of what is shown, in steps of 8 bits.
+    fn apart(a: &[u8], b: &[u8]) -> f64 {
+        let sum: f64 = a
+            .iter()
+            .zip(b)
+            .map(|(a, b)| f64::from(a.abs_diff(*b)))
+            .sum();
+        // Opacity is always the same.
+        sum / (0.75 * a.len() as f64)
+    }
+
+    #[test]
+    fn a_camera_that_has_jumped_is_shown_what_one_is_shown_that_was_always_there() {
+        let noise = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/noise-of-tests");
+        let config = RenderConfig::new(PathBuf::from(noise));
+        let mut still = StillRenderer::new(config, two_layers(), &[]).expect("a device");
+        let settings = StillSettings {
+            march: MarchSettings {
+                steps: 48,
+                ..MarchSettings::default()
+            },
+            ..StillSettings::default()
+        };
+        let at = |altitude_m: f64| {
+            Camera::new([200.0, altitude_m, -300.0], 40.0, 20.0, 60.0).expect("a camera")
+        };
+        let size = FrameSize::new(160, 90).expect("a size");
+        // Up to 5 m under the base and down again, and less than what makes a new anchor.
+        for (from_m, to_m) in [(2.0, 1495.0), (1400.0, 2.0), (2.0, 400.0)] {
+            let [there, before] = [to_m, from_m].map(|altitude_m| {
+                still
+                    .render_with(at(altitude_m), size, &settings, |_| {})
+                    .expect("a picture")
+            });
+            let input = skycell_protocol::InputSequence(1);
+            still.renderer.set_camera(VIEWER, input, at(to_m));
+            still.march_all(false, |_| {}).expect("marched");
+            let (jumped, _) = still.composites(size, false, &settings).expect("a picture");
+            let [off, way] =
+                [&jumped, &before.display].map(|picture| apart(&there.display, picture));
+            println!("from {from_m} to {to_m} m: {off:.2} off, of {way:.2}");
+            // Half a step of the 256 of a channel.
+            assert!(
+                off < 0.5 && way > 5.0,
+                "from {from_m} to {to_m} m: {off} of {way}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_window_that_has_slid_over_thousands_of_frames_shows_at_rest_what_a_fresh_one_shows() {
+        let (changed, pictures) = strayed(None, 4_000);
+        assert_eq!(changed, 0, "of {pictures}");
+        // Planted: a mean that forgets instead of a window. It is found wherever the window stood in its ring.
+        let trace: SourceEdit = |path, source| match path {
+            "march/resolve.wgsl" => source.replace(
+                "marched[at] = mean.light.x;",
+                "marched[at] = mix(mean.light.x, marched[at], 0.7);",
+            ),
+            _ => source.to_owned(),
+        };
+        let (changed, pictures) = strayed(Some(trace), 200);
+        assert_eq!(changed, pictures);
+    }
+}

@@ -208,6 +208,58 @@ impl Gpu {
             .unwrap_or_else(|| Err(GpuError::NoAdapter("the adapter did not answer".into())))
     }
 
+    /// A buffer of `bytes`, which hold nothing yet. The label says what it is for: the inventory goes by it.
+    #[must_use]
+    pub fn buffer(&self, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: bytes,
+            usage,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// A buffer for a uniform of `bytes`.
+    #[must_use]
+    pub fn uniform_buffer(&self, label: &str, bytes: usize) -> wgpu::Buffer {
+        let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
+        self.buffer(label, bytes as u64, usage)
+    }
+
+    /// A bind group whose bindings are numbered from 0 on, in the order of the resources.
+    #[must_use]
+    pub fn bind_group(
+        &self,
+        label: &str,
+        layout: &wgpu::BindGroupLayout,
+        resources: &[wgpu::BindingResource<'_>],
+    ) -> wgpu::BindGroup {
+        let entries: Vec<_> = (0..)
+            .zip(resources)
+            .map(|(binding, resource)| wgpu::BindGroupEntry {
+                binding,
+                resource: resource.clone(),
+            })
+            .collect();
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(label),
+            layout,
+            entries: &entries,
+        })
+    }
+
+    /// The same of whole buffers.
+    #[must_use]
+    pub fn buffer_group(
+        &self,
+        label: &str,
+        layout: &wgpu::BindGroupLayout,
+        buffers: &[&wgpu::Buffer],
+    ) -> wgpu::BindGroup {
+        let resources: Vec<_> = buffers.iter().map(|b| b.as_entire_binding()).collect();
+        self.bind_group(label, layout, &resources)
+    }
+
     /// Whether a software driver renders.
     #[must_use]
     pub fn is_software(&self) -> bool {

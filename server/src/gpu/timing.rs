@@ -92,14 +92,7 @@ impl TimingRing {
     #[must_use]
     pub fn new(gpu: &Gpu) -> Self {
         let bytes = u64::from(2 * PASSES_MAX) * 8;
-        let buffer = |usage| {
-            gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("timestamps"),
-                size: bytes,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
+        let buffer = |usage| gpu.buffer("timestamps", bytes, usage);
         let slots = if gpu.timestamps { SLOTS } else { 0 };
         Self {
             slots: (0..slots)
@@ -121,6 +114,30 @@ impl TimingRing {
             sums: Arc::default(),
             period_ns: f64::from(gpu.queue.get_timestamp_period()),
         }
+    }
+
+    /// Submits one pass by itself, timed as `what` over `units` of work.
+    pub fn submit_pass(
+        &mut self,
+        gpu: &Gpu,
+        label: &str,
+        what: TimedPass,
+        units: u64,
+        record: impl FnOnce(&mut wgpu::ComputePass<'_>),
+    ) {
+        self.begin();
+        let mut encoder = gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some(label),
+            timestamp_writes: self.pass(what, units),
+        });
+        record(&mut pass);
+        drop(pass);
+        self.resolve(&mut encoder);
+        gpu.queue.submit([encoder.finish()]);
+        self.submitted();
     }
 
     /// Starts a submission.

@@ -82,29 +82,11 @@ impl AuditMarch {
     /// Makes the buffers.
     #[must_use]
     pub fn new(gpu: &Gpu, pipelines: &Pipelines) -> Self {
-        let buffer = |label, bytes: usize, usage| {
-            gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: bytes as u64,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
-        let scene = buffer(
-            "audit scene",
-            size_of::<layout::Scene>(),
-            wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-        );
+        let buffer = |label, bytes: usize, usage| gpu.buffer(label, bytes as u64, usage);
+        let scene = gpu.uniform_buffer("audit scene", size_of::<layout::Scene>());
         let samples_bytes = AUDIT_TEXELS_MAX * AUDIT_PLACES * size_of::<AuditSample>();
         Self {
-            scene_group: gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("audit scene"),
-                layout: &pipelines.scene_layout,
-                entries: &[wgpu::BindGroupEntry {
-                    binding: 0,
-                    resource: scene.as_entire_binding(),
-                }],
-            }),
+            scene_group: gpu.buffer_group("audit scene", &pipelines.scene_layout, &[&scene]),
             scene,
             sun_volume: None,
             work: buffer(
@@ -153,15 +135,7 @@ impl AuditMarch {
             wgpu::BindingResource::TextureView(&distance),
             self.samples.as_entire_binding(),
         ];
-        let entries: Vec<_> = (0..)
-            .zip(resources)
-            .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
-            .collect();
-        let bind_group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("audit"),
-            layout: &pipelines.audit_layout,
-            entries: &entries,
-        });
+        let bind_group = gpu.bind_group("audit", &pipelines.audit_layout, &resources);
         // Of its own layer an audited ray reads no volume: what is in there is audited too.
         let sun_group = group
             .cell
@@ -171,12 +145,7 @@ impl AuditMarch {
             .map(|sun| {
                 let others = without_own(sun.seen(), work[0].layer);
                 let uniform = self.sun_volume.get_or_insert_with(|| {
-                    gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                        label: Some("audit sun volume"),
-                        size: size_of_val(&others) as u64,
-                        usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-                        mapped_at_creation: false,
-                    })
+                    gpu.uniform_buffer("audit sun volume", size_of_val(&others))
                 });
                 write(gpu, uniform, &others);
                 sun.group_of(gpu, pipelines, &self.scene, uniform)

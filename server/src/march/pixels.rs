@@ -66,21 +66,13 @@ impl MarchedPixels {
     ) -> Self {
         let values_of_a_pixel = listed.map_or(VALUES, |_| LISTED_VALUES as u64);
         let bytes = u64::from(size.pixels()) * layers.max(1) as u64 * values_of_a_pixel * 4;
-        let buffer = |label, bytes, usage| {
-            gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: bytes,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
-        let values = buffer(
+        let values = gpu.buffer(
             "marched pixels",
             bytes,
             wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
         );
         let rays = listed.map(|listed| {
-            let rays = buffer(
+            let rays = gpu.buffer(
                 "listed rays",
                 size_of_val(listed).max(size_of::<layout::ListedRay>()) as u64,
                 wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
@@ -89,25 +81,9 @@ impl MarchedPixels {
                 .write_buffer(&rays, 0, bytemuck::cast_slice(listed));
             rays
         });
-        let view = buffer(
-            "marched view",
-            size_of::<layout::View>() as u64,
-            wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-        );
-        let group = |layout, buffers: &[&wgpu::Buffer]| {
-            let entries: Vec<_> = (0..)
-                .zip(buffers)
-                .map(|(binding, buffer)| wgpu::BindGroupEntry {
-                    binding,
-                    resource: buffer.as_entire_binding(),
-                })
-                .collect();
-            gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("marched pixels"),
-                layout,
-                entries: &entries,
-            })
-        };
+        let view = gpu.uniform_buffer("marched view", size_of::<layout::View>());
+        let group =
+            |layout, buffers: &[&wgpu::Buffer]| gpu.buffer_group("marched pixels", layout, buffers);
         let rays_or_none = rays.as_ref().unwrap_or(&pipelines.no_rays);
         Self {
             view_group: group(&pipelines.view_layout, &[&view, rays_or_none]),
@@ -181,28 +157,20 @@ impl MarchedPixels {
         };
         gpu.queue
             .write_buffer(&self.view, 0, bytemuck::bytes_of(view));
-        timing.begin();
-        let mut encoder = gpu
-            .device
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
-                label: Some("march pixels"),
-            });
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some("march pixels"),
-            timestamp_writes: timing.pass(
-                TimedPass::ScreenSpace,
-                u64::from(rows) * u64::from(self.size.width()),
-            ),
-        });
-        pass.set_pipeline(pipeline);
-        pass.set_bind_group(0, cell.march_group(features), &[]);
-        pass.set_bind_group(1, cell.field_group(), &[]);
-        pass.set_bind_group(2, &self.write_group, &[]);
-        pass.set_bind_group(3, &self.view_group, &[]);
-        pass.dispatch_workgroups(self.size.width().div_ceil(8), rows.div_ceil(8), 1);
-        drop(pass);
-        timing.resolve(&mut encoder);
-        gpu.queue.submit([encoder.finish()]);
-        timing.submitted();
+        let pixels = u64::from(rows) * u64::from(self.size.width());
+        timing.submit_pass(
+            gpu,
+            "march pixels",
+            TimedPass::ScreenSpace,
+            pixels,
+            |pass| {
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(0, cell.march_group(features), &[]);
+                pass.set_bind_group(1, cell.field_group(), &[]);
+                pass.set_bind_group(2, &self.write_group, &[]);
+                pass.set_bind_group(3, &self.view_group, &[]);
+                pass.dispatch_workgroups(self.size.width().div_ceil(8), rows.div_ceil(8), 1);
+            },
+        );
     }
 }

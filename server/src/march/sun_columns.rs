@@ -59,9 +59,9 @@ impl SunVolumeTexture {
         let scenes = scenes
             .iter()
             .map(|scene| {
-                let buffer = uniform_buffer(gpu, "sun columns' scene", size_of_val(scene));
+                let buffer = gpu.uniform_buffer("sun columns' scene", size_of_val(scene));
                 write(gpu, &buffer, scene);
-                group(gpu, &pipelines.scene_layout, &[buffer.as_entire_binding()])
+                gpu.buffer_group("sun volume", &pipelines.scene_layout, &[&buffer])
             })
             .collect();
         Self {
@@ -118,14 +118,14 @@ impl SunVolumeTexture {
             .iter()
             .map(|strip| {
                 let work = strip_work(volume, strip);
-                let buffer = uniform_buffer(gpu, "sun columns", size_of_val(&work));
+                let buffer = gpu.uniform_buffer("sun columns", size_of_val(&work));
                 write(gpu, &buffer, &work);
                 let resources = [
                     buffer.as_entire_binding(),
                     wgpu::BindingResource::TextureView(&view),
                     pipelines.read_counter.as_entire_binding(),
                 ];
-                let group = group(gpu, &pipelines.sun_columns_layout, &resources);
+                let group = gpu.bind_group("sun volume", &pipelines.sun_columns_layout, &resources);
                 (strip, work, group)
             })
             .collect();
@@ -157,34 +157,6 @@ impl SunVolumeTexture {
     }
 }
 
-fn uniform_buffer(gpu: &Gpu, label: &str, bytes: usize) -> wgpu::Buffer {
-    gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some(label),
-        size: bytes as u64,
-        usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    })
-}
-
-fn group(
-    gpu: &Gpu,
-    layout: &wgpu::BindGroupLayout,
-    resources: &[wgpu::BindingResource<'_>],
-) -> wgpu::BindGroup {
-    let entries: Vec<_> = (0..)
-        .zip(resources)
-        .map(|(binding, resource)| wgpu::BindGroupEntry {
-            binding,
-            resource: resource.clone(),
-        })
-        .collect();
-    gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("sun volume"),
-        layout,
-        entries: &entries,
-    })
-}
-
 /// A sun volume as one cell reads it: group 0 of the marching kernels, with the scene.
 #[derive(Debug)]
 pub struct SunBinding {
@@ -212,7 +184,7 @@ impl SunBinding {
         layers: u32,
     ) -> Self {
         let seen = layout::SunVolume::default();
-        let uniform = uniform_buffer(gpu, "sun volume", size_of_val(&seen));
+        let uniform = gpu.uniform_buffer("sun volume", size_of_val(&seen));
         write(gpu, &uniform, &seen);
         let (view, sampler) = (volume.view(), volume.sampler().clone());
         Self {
@@ -280,5 +252,5 @@ fn sun_scene_group(
         wgpu::BindingResource::Sampler(sampler),
         uniform.as_entire_binding(),
     ];
-    group(gpu, &pipelines.sun_scene_layout, &resources)
+    gpu.bind_group("sun volume", &pipelines.sun_scene_layout, &resources)
 }

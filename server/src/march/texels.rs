@@ -54,12 +54,11 @@ impl TexelMarch {
     pub fn new(gpu: &Gpu) -> Self {
         let items = BATCH_TILES_MAX + GROUPS_MAX * GROUP_ALIGNMENT;
         Self {
-            work: gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("tile work"),
-                size: (items * size_of::<TileWork>()) as u64,
-                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            }),
+            work: gpu.buffer(
+                "tile work",
+                (items * size_of::<TileWork>()) as u64,
+                wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+            ),
         }
     }
 
@@ -124,15 +123,7 @@ impl TexelMarch {
                     wgpu::BindingResource::TextureView(&distance),
                     pipelines.read_counter.as_entire_binding(),
                 ];
-                let entries: Vec<_> = (0..)
-                    .zip(resources)
-                    .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
-                    .collect();
-                gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                    label: Some("texels"),
-                    layout: &pipelines.texels_layout,
-                    entries: &entries,
-                })
+                gpu.bind_group("texels", &pipelines.texels_layout, &resources)
             })
             .collect();
         let mut dispatches = 0;

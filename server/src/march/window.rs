@@ -77,7 +77,7 @@ impl Slice {
 }
 
 /// The frames of a window, oldest overwritten first.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct TemporalWindow {
     plan: WindowPlan,
     places: Vec<FramePlace>,
@@ -252,6 +252,31 @@ mod tests {
         }
         marched(&mut old, 0.0, 16);
         assert_eq!(young.shown(&view(0.0), &[]), old.shown(&view(0.0), &[]));
+    }
+
+    /// What a window is after n frames depends on n only through n modulo its frames: nothing in it counts on, so no number
+    /// of frames (2^16, 2^24, 2^31, 2^32) is another case than those here.
+    #[test]
+    fn a_window_is_the_same_after_every_round() {
+        for frames in 1..=16 {
+            let plan = WindowPlan {
+                frames,
+                ..quarter()
+            };
+            let mut window = TemporalWindow::new(plan);
+            marched(&mut window, 0.3, frames);
+            let round: Vec<TemporalWindow> = (0..frames)
+                .map(|_| {
+                    let before = window.clone();
+                    marched(&mut window, 0.3, 1);
+                    before
+                })
+                .collect();
+            for (place, before) in (0..3 * frames).zip(round.iter().cycle()) {
+                assert_eq!(&window, before, "{frames} frames, {place} further");
+                marched(&mut window, 0.3, 1);
+            }
+        }
     }
 
     #[test]

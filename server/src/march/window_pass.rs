@@ -120,34 +120,11 @@ impl WindowRing {
         plan: WindowPlan,
         values: &wgpu::Buffer,
     ) -> Self {
-        use wgpu::BufferUsages;
         let bytes = ring_bytes(picture, layers, plan);
-        let buffer = |label, size, usage| {
-            gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
-        let uniform = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
-        let ring = buffer("window ring", bytes, BufferUsages::STORAGE);
-        let view = buffer("window view", size_of::<layout::View>() as u64, uniform);
-        let window = buffer("window", size_of::<layout::Window>() as u64, uniform);
-        let group = |layout, buffers: &[&wgpu::Buffer]| {
-            let entries: Vec<_> = (0..)
-                .zip(buffers)
-                .map(|(binding, buffer)| wgpu::BindGroupEntry {
-                    binding,
-                    resource: buffer.as_entire_binding(),
-                })
-                .collect();
-            gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("window"),
-                layout,
-                entries: &entries,
-            })
-        };
+        let ring = gpu.buffer("window ring", bytes, wgpu::BufferUsages::STORAGE);
+        let view = gpu.uniform_buffer("window view", size_of::<layout::View>());
+        let window = gpu.uniform_buffer("window", size_of::<layout::Window>());
+        let group = |layout, buffers: &[&wgpu::Buffer]| gpu.buffer_group("window", layout, buffers);
         Self {
             march_group: group(&pipelines.pixels_layout, &[&ring, &pipelines.read_counter]),
             resolve_group: group(&pipelines.pixels_layout, &[values, &ring]),
@@ -188,21 +165,15 @@ impl WindowRing {
             return;
         };
         let pixels = u64::from(strip.rows) * u64::from(self.marched[0]);
-        let groups = [self.marched[0].div_ceil(8), strip.rows.div_ceil(8), 1];
-        self.submit(
-            gpu,
-            timing,
-            strip.view,
-            strip.window,
-            pixels,
-            groups,
-            |pass| {
-                pass.set_pipeline(pipeline);
-                pass.set_bind_group(0, strip.cell.march_group(strip.features), &[]);
-                pass.set_bind_group(1, strip.cell.field_group(), &[]);
-                pass.set_bind_group(2, &self.march_group, &[]);
-            },
-        );
+        self.tell(gpu, strip.view, strip.window);
+        timing.submit_pass(gpu, "window", TimedPass::ScreenSpace, pixels, |pass| {
+            pass.set_pipeline(pipeline);
+            pass.set_bind_group(0, strip.cell.march_group(strip.features), &[]);
+            pass.set_bind_group(1, strip.cell.field_group(), &[]);
+            pass.set_bind_group(2, &self.march_group, &[]);
+            pass.set_bind_group(3, &self.window_group, &[]);
+            pass.dispatch_workgroups(self.marched[0].div_ceil(8), strip.rows.div_ceil(8), 1);
+        });
     }
 
     /// Submits the sum of the window for a camera, of so many rows.
@@ -220,31 +191,24 @@ impl WindowRing {
         let Some(pipeline) = pipelines.get(resolve_key(window.frames, at_rest)) else {
             return;
         };
-        let groups = [
-            self.picture.width().div_ceil(8),
-            rows.min(self.picture.height()).div_ceil(8),
-            self.layers,
-        ];
+        self.tell(gpu, view, window);
         // Its time counts to that of the rays, which it comes with.
-        self.submit(gpu, timing, view, window, 0, groups, |pass| {
+        timing.submit_pass(gpu, "window", TimedPass::ScreenSpace, 0, |pass| {
             pass.set_pipeline(pipeline);
             pass.set_bind_group(0, &pipelines.empty_group, &[]);
             pass.set_bind_group(1, &pipelines.empty_group, &[]);
             pass.set_bind_group(2, &self.resolve_group, &[]);
+            pass.set_bind_group(3, &self.window_group, &[]);
+            pass.dispatch_workgroups(
+                self.picture.width().div_ceil(8),
+                rows.min(self.picture.height()).div_ceil(8),
+                self.layers,
+            );
         });
     }
 
-    #[allow(clippy::too_many_arguments)]
-    fn submit(
-        &self,
-        gpu: &Gpu,
-        timing: &mut TimingRing,
-        view: &layout::View,
-        window: &layout::Window,
-        pixels: u64,
-        groups: [u32; 3],
-        set: impl FnOnce(&mut wgpu::ComputePass<'_>),
-    ) {
+    /// Writes what the next pass reads of the camera and the window.
+    fn tell(&self, gpu: &Gpu, view: &layout::View, window: &layout::Window) {
         let view = layout::View {
             width: self.picture.width(),
             height: self.picture.height(),
@@ -256,22 +220,5 @@ impl WindowRing {
             .write_buffer(&self.view, 0, bytemuck::bytes_of(&view));
         gpu.queue
             .write_buffer(&self.window, 0, bytemuck::bytes_of(window));
-        timing.begin();
-        let mut encoder = gpu
-            .device
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
-                label: Some("window"),
-            });
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some("window"),
-            timestamp_writes: timing.pass(TimedPass::ScreenSpace, pixels),
-        });
-        set(&mut pass);
-        pass.set_bind_group(3, &self.window_group, &[]);
-        pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
-        drop(pass);
-        timing.resolve(&mut encoder);
-        gpu.queue.submit([encoder.finish()]);
-        timing.submitted();
     }
 }

@@ -339,15 +339,7 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         optical_depth_seen += optical_depth;
 #endif
     }
-    // Light that was scattered often hardly changes along what a ray sees of a cloud: once per ray, where its light comes
-    // from on the mean. Rays without cloud take no sample.
-    let per_shown = 1.0 / max(shown, 1e-30);
-    let middle = origin + direction * (weighted_distance_m * per_shown);
-    let up = normalize(vec3f(middle.x, middle.y + ray.planet_radius_m, middle.z));
-    let around = surroundings(ray, layer, middle, up, select(0u, ray.diffusion.samples, shown > 0.0));
-    let diffuse = shown * diffuse_share(ray.diffusion, layer.transport_share, weighted_sun_depth * per_shown, dot(ray.sun_direction, up), around);
-    let sky = shown * sky_share(ray.diffusion, layer.transport_share, around, dot(direction, up));
-    return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, diffuse, sky, transmittance, weighted_distance_m + CLEAR_OPACITY * layer_distance_m);
+    return ray_light(ray, layer, origin, direction, octave_sums, Weighed(shown, weighted_sun_depth, weighted_distance_m), transmittance, layer_distance_m);
 }
 #else
 /// Marches one ray through one layer. start_fraction in 0...1 shifts the samples by that share of a step.
@@ -443,9 +435,13 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
                 probes += 1u;
                 let skip_m = map.z * layer.skip_range_m / across;
 #ifdef WINDOW
-                // Back on the grid of whole steps.
-                steps = max(first_sample_at(layer, distance_m + skip_m, start_fraction), whole_step_after(steps, share, start_fraction));
-                share = 1.0;
+                // A part without cloud goes on to the next one. A leap from there would lead back to the whole step that came
+                // upon the cloud, and from that back here.
+                let leap = vec3f(max(first_sample_at(layer, distance_m + skip_m, start_fraction), whole_step_after(steps, share, start_fraction)), 1.0, 0.0);
+                let stepped = select(leap, refined_step(steps, share, empty_parts, false, fine, start_fraction, begin), share < 1.0);
+                steps = stepped.x;
+                share = stepped.y;
+                empty_parts = stepped.z;
 #else
                 steps += max(ceil(steps_at(layer, distance_m + skip_m) - steps), 1.0);
 #endif
@@ -530,17 +526,31 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         if transmittance < layer.transmittance_min { break; }
     }
 
-    // Light that was scattered often hardly changes along what a ray sees of a cloud: once per ray, where its light comes
-    // from on the mean. Rays without cloud take no sample.
-    let per_shown = 1.0 / max(shown, 1e-30);
-    let middle = origin + direction * (weighted_distance_m * per_shown);
-    let up = normalize(vec3f(middle.x, middle.y + ray.planet_radius_m, middle.z));
-    let around = surroundings(ray, layer, middle, up, select(0u, ray.diffusion.samples, shown > 0.0));
-    let diffuse = shown * diffuse_share(ray.diffusion, layer.transport_share, weighted_sun_depth * per_shown, dot(ray.sun_direction, up), around);
-    let sky = shown * sky_share(ray.diffusion, layer.transport_share, around, dot(direction, up));
-    return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, diffuse, sky, transmittance, weighted_distance_m + CLEAR_OPACITY * layer_distance_m);
+    return ray_light(ray, layer, origin, direction, octave_sums, Weighed(shown, weighted_sun_depth, weighted_distance_m), transmittance, layer_distance_m);
 }
 #endif
+
+/// What the lit samples of a ray weigh, and sums by these weights.
+struct Weighed {
+    /// The opacity, with all digits where it is small.
+    shown: f32,
+    sun_depth: f32,
+    distance_m: f32,
+}
+
+/// The light of a ray whose samples have been summed up.
+fn ray_light(ray: RayScene, layer: Layer, origin: vec3f, direction: vec3f, octave_sums: array<vec4f, #{OCTAVE_VECTORS}>, sums: Weighed, transmittance: f32, layer_distance_m: f32) -> LayerRadiance {
+    // Light that was scattered often hardly changes along what a ray sees of a cloud: once per ray, where its light comes
+    // from on the mean. Rays without cloud take no sample.
+    let shown = sums.shown;
+    let per_shown = 1.0 / max(shown, 1e-30);
+    let middle = origin + direction * (sums.distance_m * per_shown);
+    let up = normalize(vec3f(middle.x, middle.y + ray.planet_radius_m, middle.z));
+    let around = surroundings(ray, layer, middle, up, select(0u, ray.diffusion.samples, shown > 0.0));
+    let diffuse = shown * diffuse_share(ray.diffusion, layer.transport_share, sums.sun_depth * per_shown, dot(ray.sun_direction, up), around);
+    let sky = shown * sky_share(ray.diffusion, layer.transport_share, around, dot(direction, up));
+    return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, diffuse, sky, transmittance, sums.distance_m + CLEAR_OPACITY * layer_distance_m);
+}
 
 /// Sums of a ray with albedo, phases and the factor of ambient light. angle: 1 - cos of that to the sun.
 fn gathered(layer: Layer, angle: f32, octave_sums: array<vec4f, #{OCTAVE_VECTORS}>, diffuse: f32, sky: f32, transmittance: f32, opacity_distance_m: f32) -> LayerRadiance {

@@ -5,10 +5,12 @@
 
 mod camera;
 mod depth;
+mod documents;
 mod fields;
 mod frames;
 mod layers;
 mod line;
+mod looks;
 mod maps;
 mod octaves;
 mod phase;
@@ -31,7 +33,7 @@ use stage::{Stage, stage};
 type Run = fn(&mut Stage) -> Line;
 
 /// How many cases each line has.
-const CASES: [(Run, usize); 27] = [
+const CASES: [(Run, usize); 33] = [
     (sun::anywhere, 102),
     (sun::along_the_ray, 8),
     (camera::anywhere, 92),
@@ -47,7 +49,7 @@ const CASES: [(Run, usize); 27] = [
     (frames::any, 12),
     (steps::accumulated, 8),
     (truth::at_the_ends, 64),
-    (maps::any, 41),
+    (maps::any, 42),
     (maps::blends, 10),
     (maps::refused, 4),
     (maps::evolution, 5),
@@ -56,9 +58,15 @@ const CASES: [(Run, usize); 27] = [
     (time::any_clock, 12),
     (sun_volume::anywhere, 32),
     (sun_volume::through_slabs, 33),
-    (window::any, 35),
+    (window::any, 39),
     (scattering::any, 135),
     (scattering::furnace, 18),
+    (looks::night, 33),
+    (looks::tone, 24),
+    (looks::views, 58),
+    (documents::fields, 50),
+    (documents::light, 28),
+    (documents::timelines, 41),
 ];
 
 fn check(index: usize) {
@@ -108,4 +116,10 @@ lines! {
     windows_may_turn_cut_rest_and_last = 24;
     light_that_is_scattered_often_is_the_twins_in_any_cloud = 25;
     clouds_cannot_be_seen_in_a_furnace = 26;
+    nights_may_have_any_moon_and_any_stars = 27;
+    curves_go_from_black_to_white_at_any_exposure = 28;
+    every_view_may_be_looked_at_from_anywhere = 29;
+    families_and_fields_may_have_any_pattern_and_period = 30;
+    light_in_clouds_may_be_none_or_all = 31;
+    clocks_transitions_keyframes_and_drifts_may_stand_at_their_ends = 32;
 }

@@ -2,7 +2,7 @@
 
 use super::line::Line;
 use super::stage::{CACHED, SCREEN, Stage, difference, eye, small, weather};
-use super::truth::{compare, compare_with};
+use super::truth::{compare, compare_with, compare_within};
 use serde_json::{Value, json};
 use skycell_protocol::Scene;
 use skycell_reference::{Approximations, LayerField, World, WorldSettings};
@@ -40,6 +40,9 @@ fn drawn(x: u32, y: u32) -> f32 {
     (cell(1) + cell(16) + cell(256)) as f32 / (3.0 * 1012.0)
 }
 
+/// How well f32 knows a place in the field of a map of 40 km: 8 U (|p| + period), see `shader_twins`.
+const PLACE_M: f64 = 0.03;
+
 fn up() -> skycell_protocol::Camera {
     eye([0.0, 2.0, 0.0], 100.0, 25.0, 60.0)
 }
@@ -67,9 +70,12 @@ pub(crate) fn any(stage: &mut Stage) -> Line {
             stage.scene(&scene);
             let cached = stage.look(up(), small(), CACHED);
             line.picture(format!("{kind} {file}, cached"), &cached);
-            // Here one ray of 144 was 0.5 % off, the rest of the picture within a thousandth; why is not known.
-            if (kind, file) != ("profile", "large.png") {
-                compare(stage, &mut line, &format!("{kind} {file}"), &scene, up());
+            let what = format!("{kind} {file}");
+            if (kind, file) == ("profile", "large.png") {
+                // Its profile is another one every 2.4 m of altitude and, by the type map, every few metres sideways.
+                compare_within(stage, &mut line, &what, &scene, up(), PLACE_M);
+            } else {
+                compare(stage, &mut line, &what, &scene, up());
             }
         }
     }

@@ -24,7 +24,7 @@ pub(crate) fn anywhere_and_anytime(stage: &mut Stage) -> Line {
         }
         // Wind of 5 m/s towards the east carries clouds 12 960 km in 30 days; an eye that goes along sees no change. The
         // offsets are reduced in f64 and then rounded in f32 around another number: within U of a period, 2.4 mm of the map
-        // and 0.3 mm of the shape noise. Density changes by at most 6 · 0.6 · 128 / 5000 = 0.1 per metre, and a ray's
+        // and 0.3 mm of the shape noise. Density changes by at most 7 · 0.44 · 128 / 5000 = 0.08 per metre, and a ray's
         // radiance by about as much of itself.
         for days in [1.0 / 86_400.0, 1.0, 30.0] {
             let seconds = days * 86_400.0;

@@ -29,7 +29,7 @@ type Case = (
     fn(&mut Stage) -> Line,
 );
 
-const DEFECTS: [Case; 16] = [
+const DEFECTS: [Case; 17] = [
     (
         "shell roots from squares of radii",
         edit!(
@@ -177,6 +177,16 @@ const DEFECTS: [Case; 16] = [
             "march/temporal.wgsl",
             "-dot(point_from_eye, upward)",
             "dot(point_from_eye, upward)"
+        ),
+        "temporal window",
+        window::any,
+    ),
+    (
+        "rays that go in circles where the part before a cloud is empty",
+        edit!(
+            "march/march.wgsl",
+            "false, fine, start_fraction, begin), share < 1.0);",
+            "false, fine, start_fraction, begin), false);"
         ),
         "temporal window",
         window::any,

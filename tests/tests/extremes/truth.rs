@@ -8,6 +8,7 @@ use skycell_protocol::{Camera, Scene};
 use skycell_reference::march::MarchSteps;
 use skycell_reference::picture::{Projection, Renderer, render};
 use skycell_reference::{Approximations, World};
+use skycell_server::frame_loop::StillPicture;
 use skycell_server::truth::reference_world;
 use skycell_tests::server::target_dir;
 
@@ -36,6 +37,91 @@ pub(crate) fn compare(
     compare_with(stage, line, what, &world, camera);
 }
 
+/// As [`compare`], for fields so steep that the rounding of places shows: what the device finds is what the reference finds
+/// from somewhere within `moved_m` of the eye, to [`L2_MAX`].
+pub(crate) fn compare_within(
+    stage: &mut Stage,
+    line: &mut Line,
+    what: &str,
+    document: &Value,
+    camera: Camera,
+    moved_m: f64,
+) {
+    stage.scene(document);
+    let scene = Scene::from_json(document).expect("valid");
+    let noise = target_dir().expect("a folder").join("noise-of-tests");
+    let at = camera.position_m();
+    let world = reference_world(
+        &scene,
+        &noise,
+        &stage.grids_dir,
+        0.0,
+        DVec3::from_array(at),
+        Approximations::ALL,
+    )
+    .expect("a world");
+    let picture = device_picture(stage, camera);
+    let exact = reference_picture(&world, camera);
+    // Along each axis, both ways: by how much each value changes there.
+    let mut uncertain = vec![0.0f64; exact.len()];
+    for axis in 0..3 {
+        for way in [-moved_m, moved_m] {
+            let mut place = at;
+            place[axis] += way;
+            let moved = eye(
+                place,
+                camera.yaw_deg(),
+                camera.pitch_deg(),
+                camera.vertical_fov_deg(),
+            );
+            let moved = reference_picture(&world, moved);
+            for (most, (moved, exact)) in uncertain.iter_mut().zip(moved.iter().zip(&exact)) {
+                *most = most.max((moved - exact).abs());
+            }
+        }
+    }
+    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+    let whole = norm(&mut exact.iter().copied());
+    let uncertain = norm(&mut uncertain.iter().copied());
+    let apart = norm(
+        &mut rgb(&picture)
+            .zip(&exact)
+            .map(|(found, exact)| found - exact),
+    );
+    println!(
+        "{what}: {:.2e} apart, {:.2e} by places {moved_m} m off, relative",
+        apart / whole,
+        uncertain / whole
+    );
+    line.picture(what, &picture);
+    line.holds(what, apart, L2_MAX * whole + uncertain);
+}
+
+/// Red, green and blue of all pixels.
+fn rgb(picture: &StillPicture) -> impl Iterator<Item = f64> {
+    let pixels = picture.linear.chunks_exact(4);
+    pixels.flat_map(|pixel| pixel[..3].iter().map(|v| f64::from(*v)))
+}
+
+fn device_picture(stage: &mut Stage, camera: Camera) -> StillPicture {
+    let mut settings = super::stage::settings(SCREEN);
+    settings.march.exact_interpolation = true;
+    settings.march.jitter = false;
+    stage.look_with(camera, size(16, 9), &settings)
+}
+
+fn reference_picture(world: &World, camera: Camera) -> Vec<f64> {
+    let steps = MarchSteps {
+        steps: STEPS,
+        ..MarchSteps::default()
+    };
+    let size = size(16, 9);
+    let projection = Projection::Pinhole { camera, size };
+    let truth = render(world, &projection, &Renderer::March(steps), || {}).expect("a picture");
+    let rays = truth.rays.iter();
+    rays.flat_map(|ray| ray.radiance.to_array()).collect()
+}
+
 /// The scene on stage against a world in the frame under the camera.
 pub(crate) fn compare_with(
     stage: &mut Stage,
@@ -44,23 +130,11 @@ pub(crate) fn compare_with(
     world: &World,
     camera: Camera,
 ) {
-    let size = size(16, 9);
-    let mut settings = super::stage::settings(SCREEN);
-    settings.march.exact_interpolation = true;
-    settings.march.jitter = false;
-    let picture = stage.look_with(camera, size, &settings);
-    let steps = MarchSteps {
-        steps: STEPS,
-        ..MarchSteps::default()
-    };
-    let projection = Projection::Pinhole { camera, size };
-    let truth = render(world, &projection, &Renderer::March(steps), || {}).expect("a picture");
+    let picture = device_picture(stage, camera);
     let (mut apart, mut whole) = (0.0, 0.0);
-    for (found, ray) in picture.linear.chunks_exact(4).zip(&truth.rays) {
-        for (found, exact) in found.iter().zip(ray.radiance.to_array()) {
-            apart += (f64::from(*found) - exact).powi(2);
-            whole += exact * exact;
-        }
+    for (found, exact) in rgb(&picture).zip(reference_picture(world, camera)) {
+        apart += (found - exact).powi(2);
+        whole += exact * exact;
     }
     line.picture(what, &picture);
     // At night both are black; the smallest f32 stands for nothing.

@@ -84,18 +84,28 @@ fn colours() -> Vec<[f32; 3]> {
         .collect()
 }
 
+/// By how much AgX as it was published changes the order of channels: the rows of its outer matrix add up to 0.99983, 1.00004
+/// and 1.00006, so that of three equal channels blue comes out 2.3e-4 above red. No other colour is turned by more (two
+/// million random ones, from black to a million, in f64: 2.3e-4).
+const AGX_ORDER: f64 = 2.4e-4;
+
+fn wide3(value: [f32; 4]) -> [f64; 3] {
+    [0, 1, 2].map(|c| f64::from(value[c]))
+}
+
 #[test]
 fn agx_and_neutral_are_their_published_curves_and_keep_the_order_of_the_channels() {
     let probe = SceneProbe::open(&serde_json::json!({"version": 1}), true);
     let white = [0.8444, 1.0602, 1.0954];
-    for (number, curve, bound) in [
+    for (number, curve, bound, disorder) in [
         // A twentieth of an eight-bit step: drivers' logarithms and powers are good to some 2^-16 of their range.
         (
             1.0f32,
             skycell_tests::tone::agx as fn([f64; 3]) -> [f64; 3],
             2e-4,
+            AGX_ORDER,
         ),
-        (2.0, skycell_tests::tone::neutral, 4e-6),
+        (2.0, skycell_tests::tone::neutral, 4e-6, 0.0),
     ] {
         let points: Vec<FieldPoint> = colours()
             .into_iter()
@@ -109,14 +119,27 @@ fn agx_and_neutral_are_their_published_curves_and_keep_the_order_of_the_channels
             }))
         };
         judge("tone curve", points.len(), check(white), check([1.0; 3]));
-        // Hue: no channel overtakes another on the way to white, by more than half an eight-bit step.
-        for (point, value) in points.iter().zip(&values) {
-            let balanced = [0, 1, 2].map(|c| f64::from(point[0][c]) / white[c]);
-            for (a, b) in [(0, 1), (1, 2), (0, 2)] {
-                if balanced[a] > 1.01 * balanced[b] {
-                    assert!(value[0][a] >= value[0][b] - 2e-3, "{point:?} {value:?}");
+        // Hue: no channel overtakes another on the way to white, by more than the curve itself does and the device's errors.
+        let overtaken = |encoded: &dyn Fn(usize) -> [f64; 3]| {
+            let mut most = 0.0f64;
+            for (at, point) in points.iter().enumerate() {
+                let balanced = [0, 1, 2].map(|c| f64::from(point[0][c]) / white[c]);
+                let encoded = encoded(at);
+                for (a, b) in [(0, 1), (1, 2), (0, 2), (1, 0), (2, 1), (2, 0)] {
+                    if balanced[a] > 1.01 * balanced[b] {
+                        most = most.max(encoded[b] - encoded[a]);
+                    }
                 }
             }
-        }
+            most
+        };
+        let of_device = overtaken(&|at| wide3(values[at][0]));
+        let of_curve =
+            overtaken(&|at| curve([0, 1, 2].map(|c| f64::from(points[at][0][c]) / white[c])));
+        println!(
+            "curve {number}: a channel is overtaken by {of_device:.2e}, exactly by {of_curve:.2e}"
+        );
+        assert!(of_curve <= disorder, "{of_curve}");
+        assert!(of_device <= disorder + 2.0 * bound, "{of_device}");
     }
 }
