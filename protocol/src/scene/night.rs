@@ -2,8 +2,8 @@
 
 use glam::{DMat3, DVec3};
 
-use super::document::{MoonDocument, StarsDocument};
 use super::PlaceAndTime;
+use super::document::{MoonDocument, StarsDocument};
 use super::ranges;
 use crate::ValueError;
 use crate::camera::direction_of_angles;

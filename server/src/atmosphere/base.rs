@@ -31,7 +31,7 @@ const FINE: Fineness = Fineness {
     depth_intervals: 24,
     orders_size: [128, 32],
     ground_suns: 384,
-    cosines: 14,
+    cosines: 20,
     even_azimuths: 6,
 };
 /// Some hundredths of the work, right to some percent.
@@ -282,32 +282,40 @@ impl BaseTables {
             };
             let ways: Vec<Way> = level.ways(fineness.even_azimuths).collect();
             let each = even / f64::from(fineness.even_azimuths);
-            let mut add = |distance_m: f64, there_m: f64, radius_m: f64, weight: DVec3, cosine: bool| {
-                for (second, mu_sun) in second.iter_mut().zip(&suns) {
-                    let mut light = DVec3::ZERO;
-                    for way in &ways {
-                        let there =
-                            (from_centre * mu_sun + distance_m * way.nu(*mu_sun)) / radius_m;
-                        let there = there.clamp(-1.0, 1.0);
-                        let facing = if cosine { there.max(0.0) } else { 1.0 };
-                        if facing > 0.0 {
-                            light += facing * self.sun_transmittance(there_m, there);
+            let mut add =
+                |distance_m: f64, there_m: f64, radius_m: f64, weight: DVec3, cosine: bool| {
+                    for (second, mu_sun) in second.iter_mut().zip(&suns) {
+                        let mut light = DVec3::ZERO;
+                        for way in &ways {
+                            let there =
+                                (from_centre * mu_sun + distance_m * way.nu(*mu_sun)) / radius_m;
+                            let there = there.clamp(-1.0, 1.0);
+                            let facing = if cosine { there.max(0.0) } else { 1.0 };
+                            if facing > 0.0 {
+                                light += facing * self.sun_transmittance(there_m, there);
+                            }
                         }
+                        *second += weight * light;
                     }
-                    *second += weight * light;
-                }
-            };
+                };
             for stand in medium.walk(altitude_m, level.mu, path) {
                 let scattered =
                     stand.kept * medium.scattering_per_m(stand.densities) * stand.length_m;
                 share += scattered * even;
                 if scattered.max_element() > LEAST {
                     let weight = scattered * (each / (4.0 * PI));
-                    add(stand.distance_m, stand.altitude_m, stand.radius_m, weight, false);
+                    add(
+                        stand.distance_m,
+                        stand.altitude_m,
+                        stand.radius_m,
+                        weight,
+                        false,
+                    );
                 }
             }
             if level.on_ground {
-                let kept = exp(-medium.depth_of(altitude_m, level.mu, path, fineness.depth_intervals));
+                let kept =
+                    exp(-medium.depth_of(altitude_m, level.mu, path, fineness.depth_intervals));
                 let weight = kept * (medium.ground_albedo * FRAC_1_PI * each);
                 add(path[2], 0.0, medium.radius_m, weight, true);
             }
@@ -338,8 +346,8 @@ impl BaseTables {
         let mie = (1.0 - g * g) / (4.0 * PI * base * base.sqrt());
         let mut sum = DVec3::ZERO;
         for stand in medium.walk(altitude_m, way.mu, path) {
-            let there = ((medium.radius_m + altitude_m) * mu_sun + stand.distance_m * nu)
-                / stand.radius_m;
+            let there =
+                ((medium.radius_m + altitude_m) * mu_sun + stand.distance_m * nu) / stand.radius_m;
             let there = there.clamp(-1.0, 1.0);
             let [air, aerosol, _] = stand.densities;
             let once = medium.rayleigh_per_m * (air * rayleigh)
@@ -402,11 +410,13 @@ impl Level {
 /// Levels of the sphere: cosines by Gauss and Legendre, dense towards the horizon.
 fn levels(mu_horizon: f64, cosines: usize) -> impl Iterator<Item = Level> {
     [1.0, -1.0].into_iter().flat_map(move |pole: f64| {
-        gauss(cosines).into_iter().map(move |[place, weight]| Level {
-            mu: mu_horizon + (pole - mu_horizon) * place * place,
-            on_ground: pole < 0.0,
-            solid_angle_sr: (pole - mu_horizon).abs() * 2.0 * place * weight * 2.0 * PI,
-        })
+        gauss(cosines)
+            .into_iter()
+            .map(move |[place, weight]| Level {
+                mu: mu_horizon + (pole - mu_horizon) * place * place,
+                on_ground: pole < 0.0,
+                solid_angle_sr: (pole - mu_horizon).abs() * 2.0 * place * weight * 2.0 * PI,
+            })
     })
 }
 

@@ -99,7 +99,11 @@ impl AirKeeper {
             }
         }
         changed |= self.step(now);
-        let last = self.blend.as_ref().map(|blend| &blend.to).or(self.shown.as_ref());
+        let last = self
+            .blend
+            .as_ref()
+            .map(|blend| &blend.to)
+            .or(self.shown.as_ref());
         let known = last.is_some_and(|last| last.medium == medium && last.is_fine());
         if !known && self.coming.is_none() {
             self.have_made(medium);

@@ -232,8 +232,8 @@ impl Medium {
                 self.rayleigh_per_m.x * air,
                 self.mie_extinction_per_m.x * aerosol,
             );
-            let height = STEP_HEIGHTS
-                / change.max(1.0 / self.rayleigh_scale_m.max(self.mie_scale_m));
+            let height =
+                STEP_HEIGHTS / change.max(1.0 / self.rayleigh_scale_m.max(self.mie_scale_m));
             let slope = ((r * mu + distance_m) / radius).abs().min(1.0);
             let bend = 0.5 * (1.0 - slope * slope) / radius;
             let climb = 2.0 * height / (slope + (slope * slope + 4.0 * bend * height).sqrt());
@@ -292,13 +292,7 @@ impl Medium {
     }
 
     /// The same of a known path.
-    pub(super) fn depth_of(
-        &self,
-        altitude_m: f64,
-        mu: f64,
-        path: [f64; 3],
-        count: u32,
-    ) -> DVec3 {
+    pub(super) fn depth_of(&self, altitude_m: f64, mu: f64, path: [f64; 3], count: u32) -> DVec3 {
         let mut columns = [0.0; 3];
         for (middle, length) in Self::points(path, count) {
             let (altitude, _) = self.altitude_along(altitude_m, mu, middle);

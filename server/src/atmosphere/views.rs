@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Size of the sky's table, as in `sky/air.wgsl`.
-const VIEW_SIZE: [u32; 2] = [48, 192];
+const VIEW_SIZE: [u32; 2] = [96, 192];
 /// Size of the haze's table: azimuths, elevations, distances.
 const HAZE_SIZE: [u32; 3] = [16, 56, 16];
 /// Altitudes whose tables are kept.

@@ -299,11 +299,8 @@ impl SkyRenderer {
         if moonlit && old.sun_direction != self.light.sun_direction {
             self.caches.age_all();
         }
-        self.air_views.set(
-            &self.gpu,
-            self.air.shown(),
-            self.light.sun_direction.y,
-        );
+        self.air_views
+            .set(&self.gpu, self.air.shown(), self.light.sun_direction.y);
     }
 
     /// Brings the tables of air that has changed to where they are by now; true where something else is to be seen.
@@ -311,7 +308,10 @@ impl SkyRenderer {
         if !self.air.is_moving() || !self.air.follow(&self.scene, Instant::now()) {
             return false;
         }
-        let cloud_altitude_m = self.active.first().map_or(0.0, |layer| layer.proxy_altitude_m);
+        let cloud_altitude_m = self
+            .active
+            .first()
+            .map_or(0.0, |layer| layer.proxy_altitude_m);
         self.take_light(cloud_altitude_m);
         self.scene_changed_for_screen_space(true);
         true

@@ -36,7 +36,7 @@ const OZONE_MIDDLE_M: f32 = 25000.0;
 const OZONE_HALF_WIDTH_M: f32 = 15000.0;
 
 /// Texels of the sky's table: across by azimuth, first rows towards the sky, then towards the ground.
-const VIEW_COLUMNS: u32 = 48u;
+const VIEW_COLUMNS: u32 = 96u;
 const VIEW_SKY_ROWS: u32 = 120u;
 const VIEW_GROUND_ROWS: u32 = 72u;
 /// Texels of the haze's table; its slices are distances.

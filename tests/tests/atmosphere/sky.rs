@@ -25,9 +25,9 @@ const AT_SUN: usize = 30;
 pub(crate) const DIRECTIONS: usize = EVEN + AT_HORIZON + AT_SUN;
 /// Largest relative error in any direction and colour. Stated by the project, not measured.
 const BAR_PERCENT: f64 = 1.0;
-/// What is darker than this is compared as if it were that bright, per unit of the sun's irradiance, 1/sr: a tenth of a sky
-/// under the full moon.
-const DARK_PER_SR: f64 = 1e-8;
+/// What is darker than this is compared as if it were that bright, per unit of the sun's irradiance, 1/sr: fifteen stops
+/// below the noon sky.
+const DARK_PER_SR: f64 = 1e-6;
 
 pub(crate) fn scene(elevation_deg: f64) -> Arc<Scene> {
     let document = json!({"version": 1, "layers": [], "atmosphere": {"model": "physical"},
@@ -244,7 +244,4 @@ fn at_the_ends_of_all_ranges_the_sky_is_finite_and_never_negative() {
             }
         }
     }
-}
-pub fn scene_sun(scene: &Scene) -> DVec3 {
-    scene.sun().direction()
 }

@@ -44,9 +44,7 @@ const SUN_DISTANCE_RADII: f64 = 23_455.0;
 fn moon_ecliptic_deg(centuries: f64) -> [f64; 3] {
     let t = centuries;
     let angle = |at: f64, rate: f64| (at + rate * t).to_radians();
-    let longitude = 218.32
-        + 481_267.881 * t
-        + 6.29 * angle(135.0, 477_198.87).sin()
+    let longitude = 218.32 + 481_267.881 * t + 6.29 * angle(135.0, 477_198.87).sin()
         - 1.27 * angle(259.3, -413_335.36).sin()
         + 0.66 * angle(235.7, 890_534.22).sin()
         + 0.21 * angle(269.9, 954_397.74).sin()
@@ -117,8 +115,7 @@ impl PlaceAndTime {
         let azimuth = direction.dot(east).atan2(direction.dot(north)).to_degrees();
         let elevation = direction.dot(up).clamp(-1.0, 1.0).asin().to_degrees();
         let [sun_azimuth, sun_elevation] = self.sun_azimuth_elevation_deg(sky_s);
-        let (azimuth_rad, elevation_rad) =
-            (sun_azimuth.to_radians(), sun_elevation.to_radians());
+        let (azimuth_rad, elevation_rad) = (sun_azimuth.to_radians(), sun_elevation.to_radians());
         let sun = (north * azimuth_rad.cos() + east * azimuth_rad.sin()) * elevation_rad.cos()
             + up * elevation_rad.sin();
         // Meeus 48.2 and 48.3, as vectors.
@@ -199,7 +196,10 @@ mod tests {
         let [sun_azimuth, sun_elevation] = nazas.sun_azimuth_elevation_deg(0.0);
         let across = (azimuth - sun_azimuth) * elevation.to_radians().cos();
         let apart = across.hypot(elevation - sun_elevation);
-        assert!(apart < 0.4, "{apart}: {azimuth} {elevation}, {sun_azimuth} {sun_elevation}");
+        assert!(
+            apart < 0.4,
+            "{apart}: {azimuth} {elevation}, {sun_azimuth} {sun_elevation}"
+        );
         assert!(phase > 179.0, "{phase}");
         // The total lunar eclipse of 2025-09-07, 18:12 UTC (NASA): full, and opposite to the sun.
         let [_, _, full] =

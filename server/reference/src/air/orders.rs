@@ -26,8 +26,8 @@ pub(super) struct Fineness {
 
 /// What the curves are made with.
 const OF_CURVES: Fineness = Fineness {
-    cosines: 12,
-    azimuths: 8,
+    cosines: 20,
+    azimuths: 6,
     intervals: 32,
     sun_intervals: 10,
 };
