@@ -10,8 +10,10 @@ use crate::read_json::{ObjectReader, ReadJson};
 
 /// How far a position may lie from the world's origin along x or z: half the way round the Earth.
 pub const POSITION_HORIZONTAL_M: NumberRange = NumberRange::new(-2.0e7, 2.0e7);
-/// The altitude of a position: from the ground to a low orbit.
-pub const POSITION_ALTITUDE_M: NumberRange = NumberRange::new(0.0, 4.0e5);
+/// The altitude of a position: from places that lie below the sea to a low orbit. The ground is a sphere at altitude 0 and
+/// has no dents: who stands below it sees the sky above a level horizon, through the denser air there, and under that
+/// horizon the lit ground at his feet.
+pub const POSITION_ALTITUDE_M: NumberRange = NumberRange::new(-100.0, 4.0e5);
 /// A yaw may count turns, but not so many that degrees lose their fractions.
 pub const YAW_DEG: NumberRange = NumberRange::new(-1.0e6, 1.0e6);
 /// From straight down to straight up.
@@ -202,7 +204,7 @@ mod tests {
     fn numbers_out_of_range_are_refused_by_name() {
         for (bad, pointer) in [
             (
-                json!({"position_m": [0, -1, 0], "yaw_deg": 0, "pitch_deg": 0, "vertical_fov_deg": 60}),
+                json!({"position_m": [0, -101, 0], "yaw_deg": 0, "pitch_deg": 0, "vertical_fov_deg": 60}),
                 "/position_m/1",
             ),
             (
@@ -254,7 +256,7 @@ mod tests {
 
         #[test]
         fn a_camera_survives_the_wire(
-            x in -2e7..2e7f64, y in 0.0..4e5f64, yaw_deg in -1e6..1e6f64,
+            x in -2e7..2e7f64, y in -100.0..4e5f64, yaw_deg in -1e6..1e6f64,
             pitch_deg in -90.0..=90.0f64, fov_deg in 1.0..=170.0f64,
         ) {
             let camera = Camera::new([x, y, -x], yaw_deg, pitch_deg, fov_deg).expect("in range");

@@ -139,6 +139,14 @@ impl ReadJson for Value {
     }
 }
 
+impl ReadJson for bool {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        value
+            .as_bool()
+            .ok_or_else(|| ValueError::new(pointer, value, "true or false"))
+    }
+}
+
 impl ReadJson for f64 {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
         value

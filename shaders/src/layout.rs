@@ -136,7 +136,7 @@ gpu_struct! {
         /// First row that a pass makes.
         first_row: u32,
         /// Fills to 16 bytes.
-        pad_air: u32,
+        row_scale_m: f32,
     }
 }
 

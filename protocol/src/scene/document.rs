@@ -133,6 +133,9 @@ document! {
         "elevation_deg" => elevation_deg: f64 = 35.0,
         /// The angle between sun and viewer as seen from the moon: 0 full, 90 half, 180 new.
         "phase_angle_deg" => phase_angle_deg: f64 = 0.0,
+        /// Whether place and date of `/sun/place_and_time`, where there are such, say where the moon stands and its phase,
+        /// in the place of the three angles.
+        "of_place_and_time" => of_place_and_time: bool = false,
     }
 }
 

@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::PlaceAndTime;
 use super::document::{MoonDocument, StarsDocument};
 use super::ranges;
 use crate::ValueError;
@@ -16,6 +17,7 @@ pub struct Moon {
     azimuth_deg: f64,
     elevation_deg: f64,
     phase_angle_deg: f64,
+    of_place_and_time: bool,
 }
 
 impl Moon {
@@ -25,6 +27,21 @@ impl Moon {
     /// The unit vector towards the moon.
     pub fn direction(&self) -> DVec3 {
         direction_of_angles(self.azimuth_deg, self.elevation_deg)
+    }
+
+    /// Whether a place and a date say where it stands.
+    pub fn of_place_and_time(&self) -> bool {
+        self.of_place_and_time
+    }
+
+    /// Leaves the moon where it stands at a place and a sky time, if they say so.
+    pub(super) fn stand_at(&mut self, place: Option<&PlaceAndTime>, sky_s: f64) {
+        if std::mem::take(&mut self.of_place_and_time)
+            && let Some(place) = place
+        {
+            [self.azimuth_deg, self.elevation_deg, self.phase_angle_deg] =
+                place.moon_azimuth_elevation_phase_deg(sky_s);
+        }
     }
 
     /// The angle between sun and viewer as seen from the moon: 0 full, 180 or -180 new.
@@ -50,6 +67,7 @@ impl TryFrom<MoonDocument> for Moon {
             elevation_deg: ranges::ELEVATION_DEG.check("/elevation_deg", document.elevation_deg)?,
             phase_angle_deg: ranges::PHASE_ANGLE_DEG
                 .check("/phase_angle_deg", document.phase_angle_deg)?,
+            of_place_and_time: document.of_place_and_time,
         })
     }
 }
@@ -60,6 +78,7 @@ impl From<&Moon> for MoonDocument {
             azimuth_deg: moon.azimuth_deg,
             elevation_deg: moon.elevation_deg,
             phase_angle_deg: moon.phase_angle_deg,
+            of_place_and_time: moon.of_place_and_time,
         }
     }
 }

@@ -407,10 +407,8 @@ mod tests {
             let curve = earth.higher_orders_per_sr(altitude_m, mu_sun);
             let fresh = earth.fresh_higher_orders_per_sr(altitude_m, mu_sun);
             let off = relative(curve, fresh);
-            // In the high air, with the sun below the horizon, the curve is coarser: measured 2.9 %. A guard, no target.
-            let bound = if altitude_m > 20_000.0 { 0.035 } else { 0.01 };
             assert!(
-                off < bound,
+                off < 0.01,
                 "{altitude_m} m, {mu_sun}: {off} ({curve} {fresh})"
             );
         }

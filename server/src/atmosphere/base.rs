@@ -1,5 +1,5 @@
 //! Tables that depend on the air alone. They are small, every later table reads them, and the processor makes them in f64
-//! in some hundredths of a second when the air changes.
+//! when the air changes, beside the frames (`keeper`).
 
 use super::medium::{Medium, exp};
 use glam::DVec3;
@@ -8,28 +8,44 @@ use skycell_protocol::Scene;
 use std::f64::consts::{FRAC_1_PI, PI};
 use std::sync::Arc;
 
-/// Directions and altitudes of the table of optical depths.
-const DEPTH_SIZE: [usize; 2] = [192, 64];
-/// Suns and altitudes of the table of higher orders.
-const ORDERS_SIZE: [usize; 2] = [80, 24];
-/// Suns of the table of lit ground, whose light falls fast where the sun sets.
-const GROUND_SUNS: usize = 384;
-/// Intervals of a path of optical depth, on either side of its lowest place.
-const DEPTH_INTERVALS: u32 = 48;
-/// Intervals of the paths that are integrated over the sphere.
-const INTERVALS: u32 = 16;
-/// Azimuths from the sun's to its opposite: for light that scatters evenly, and for the sky, which has a bright place.
-const EVEN_AZIMUTHS: u32 = 6;
+/// How finely the tables are made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Fineness {
+    /// Directions and altitudes of the table of optical depths.
+    depth_size: [usize; 2],
+    /// Intervals of a path of optical depth, on either side of its lowest place.
+    depth_intervals: u32,
+    /// Suns and altitudes of the table of higher orders.
+    orders_size: [usize; 2],
+    /// Suns of the table of lit ground, whose light falls fast where the sun sets.
+    ground_suns: usize,
+    /// Cosines of directions above and below the horizon.
+    cosines: usize,
+    /// Azimuths from the sun's to its opposite for light that scatters evenly.
+    even_azimuths: u32,
+}
+
+/// Tuned: tests/atmosphere, errors of the tables.
+const FINE: Fineness = Fineness {
+    depth_size: [256, 128],
+    depth_intervals: 24,
+    orders_size: [128, 32],
+    ground_suns: 384,
+    cosines: 20,
+    even_azimuths: 6,
+};
+/// Some hundredths of the work, right to some percent.
+const DRAFT: Fineness = Fineness {
+    depth_size: [96, 48],
+    depth_intervals: 10,
+    orders_size: [32, 12],
+    ground_suns: 128,
+    cosines: 5,
+    even_azimuths: 4,
+};
+/// Azimuths of the sky, which has a bright place.
 const SKY_AZIMUTHS: u32 = 16;
-/// Gauss and Legendre's points and weights on 0…1.
-const GAUSS: [[f64; 2]; 6] = [
-    [0.033_765_242_898_423_99, 0.085_662_246_189_585_17],
-    [0.169_395_306_766_867_74, 0.180_380_786_524_069_3],
-    [0.380_690_406_958_401_55, 0.233_956_967_286_345_52],
-    [0.619_309_593_041_598_5, 0.233_956_967_286_345_52],
-    [0.830_604_693_233_132_3, 0.180_380_786_524_069_3],
-    [0.966_234_757_101_576, 0.085_662_246_189_585_17],
-];
+const SKY_COSINES: usize = 10;
 /// Below this no light is told apart from none.
 const LEAST: f64 = 1e-12;
 
@@ -49,6 +65,20 @@ impl Table {
             .map(|i| value(place(i % size[0], size[0]), place(i / size[0], size[1])))
             .collect();
         Self { size, values }
+    }
+
+    /// A share of the way from one to another of the same size.
+    fn between(from: &Self, to: &Self, share: f64) -> Self {
+        let values = from
+            .values
+            .iter()
+            .zip(&to.values)
+            .map(|(from, to)| from.lerp(*to, share))
+            .collect();
+        Self {
+            size: to.size,
+            values,
+        }
     }
 
     /// Bilinear interpolation at a place 0…1 along both axes.
@@ -86,13 +116,14 @@ pub struct BaseTables {
     pub sun_radius_rad: f64,
     /// Lowest cosine of the sun's zenith angle that is tabulated: lower, hardly any light is left.
     pub mu_sun_lowest: f64,
-    /// Optical depth to the top of the air.
+    /// Logarithm of the optical depth to the top of the air, which is straight where air falls off exponentially.
     pub depth: Table,
     /// Logarithm of the radiance of the higher orders, which is straighter at dusk than the radiance.
     pub orders: Table,
     /// Logarithm of the radiance of the lit ground.
     pub ground: Table,
     sky_irradiance: Table,
+    fineness: Fineness,
 }
 
 impl BaseTables {
@@ -108,9 +139,38 @@ impl BaseTables {
         })
     }
 
-    /// Makes the tables.
+    /// Makes the tables, in some seconds of one core.
     #[must_use]
     pub fn new(medium: Medium, sun_radius_rad: f64) -> Self {
+        Self::as_fine(medium, sun_radius_rad, FINE)
+    }
+
+    /// Makes coarse ones in some hundredths of that, to be shown until the others are there.
+    #[must_use]
+    pub fn draft(medium: Medium, sun_radius_rad: f64) -> Self {
+        Self::as_fine(medium, sun_radius_rad, DRAFT)
+    }
+
+    /// Tables of the air a share of the way from one to another: logarithms are mixed, so light goes evenly. None where
+    /// they cannot be mixed: of planets of other sizes, or made with other fineness.
+    #[must_use]
+    pub fn between(from: &Self, to: &Self, share: f64) -> Option<Self> {
+        let alike = from.medium.radius_m == to.medium.radius_m
+            && from.sun_radius_rad == to.sun_radius_rad
+            && from.fineness == to.fineness;
+        alike.then(|| Self {
+            medium: Medium::between(&from.medium, &to.medium, share),
+            sun_radius_rad: to.sun_radius_rad,
+            mu_sun_lowest: from.mu_sun_lowest + share * (to.mu_sun_lowest - from.mu_sun_lowest),
+            depth: Table::between(&from.depth, &to.depth, share),
+            orders: Table::between(&from.orders, &to.orders, share),
+            ground: Table::between(&from.ground, &to.ground, share),
+            sky_irradiance: Table::between(&from.sky_irradiance, &to.sky_irradiance, share),
+            fineness: to.fineness,
+        })
+    }
+
+    fn as_fine(medium: Medium, sun_radius_rad: f64, fineness: Fineness) -> Self {
         let nothing = Table {
             size: [1, 1],
             values: vec![DVec3::ZERO],
@@ -119,28 +179,42 @@ impl BaseTables {
             medium,
             sun_radius_rad,
             mu_sun_lowest: (2.0 * medium.mu_horizon(medium.top_m) - 0.05).max(-1.0),
-            depth: Table::new(DEPTH_SIZE, |across, down| {
+            depth: Table::new(fineness.depth_size, |across, down| {
                 let (altitude_m, mu) = direction_of_place(&medium, across, down);
-                medium.depth(altitude_m, mu, DEPTH_INTERVALS)
+                ln(medium.depth(altitude_m, mu, fineness.depth_intervals))
             }),
             orders: nothing.clone(),
             ground: nothing.clone(),
             sky_irradiance: nothing,
+            fineness,
         };
-        tables.orders = Table::new(ORDERS_SIZE, |across, down| {
-            let altitude_m = medium.top_m * down * down;
-            ln(tables.fresh_orders_per_sr(altitude_m, tables.sun_of_place(across)))
-        });
-        tables.sky_irradiance = Table::new([ORDERS_SIZE[0], 1], |across, _| {
+        let [suns, altitudes] = fineness.orders_size;
+        let rows: Vec<Vec<DVec3>> = (0..altitudes)
+            .into_par_iter()
+            .map(|row| {
+                let down = row as f64 / (altitudes - 1) as f64;
+                tables.fresh_orders_per_sr(medium.top_m * down * down)
+            })
+            .collect();
+        tables.orders = Table {
+            size: fineness.orders_size,
+            values: rows.into_iter().flatten().map(ln).collect(),
+        };
+        tables.sky_irradiance = Table::new([suns, 1], |across, _| {
             ln(tables.fresh_sky_irradiance(tables.sun_of_place(across)))
         });
-        tables.ground = Table::new([GROUND_SUNS, 1], |across, _| {
+        tables.ground = Table::new([fineness.ground_suns, 1], |across, _| {
             let mu_sun = tables.sun_of_place(across);
             let sun = tables.sun_transmittance(0.0, mu_sun) * mu_sun.max(0.0);
             let sky = exp(tables.sky_irradiance.at(across, 0.0));
             ln(medium.ground_albedo * FRAC_1_PI * (sun + sky))
         });
         tables
+    }
+
+    /// Whether they are no draft.
+    pub(super) fn is_fine(&self) -> bool {
+        self.fineness == FINE
     }
 
     fn sun_of_place(&self, place: f64) -> f64 {
@@ -173,7 +247,7 @@ impl BaseTables {
             return DVec3::splat(visible);
         }
         let (across, down) = place_of_direction(medium, h, mu_sun.max(horizon));
-        visible * exp(-self.depth.at(across, down))
+        visible * exp(-exp(self.depth.at(across, down)))
     }
 
     /// Radiance of the higher orders of scattering at a place, 1/sr.
@@ -190,38 +264,66 @@ impl BaseTables {
     }
 
     /// Hillaire 2020, eq. 5 to 10: the light L₂ that comes to a place after one scattering or one reflection by the ground,
-    /// as if all scattered evenly, over 1 − f, where f is the share of even light that comes back to its place.
-    fn fresh_orders_per_sr(&self, altitude_m: f64, mu_sun: f64) -> DVec3 {
+    /// as if all scattered evenly, over 1 − f, where f is the share of even light that comes back to its place. For an
+    /// altitude and all suns of the table.
+    fn fresh_orders_per_sr(&self, altitude_m: f64) -> Vec<DVec3> {
         let medium = &self.medium;
-        let (mut second, mut share) = (DVec3::ZERO, DVec3::ZERO);
-        for way in sphere(medium.mu_horizon(altitude_m), EVEN_AZIMUTHS) {
-            let nu = way.nu(mu_sun);
-            let even = way.solid_angle_sr / (4.0 * PI);
-            let Some(path) = medium.path_m(altitude_m, way.mu, way.on_ground) else {
+        let fineness = self.fineness;
+        let suns: Vec<f64> = (0..fineness.orders_size[0])
+            .map(|i| self.sun_of_place(i as f64 / (fineness.orders_size[0] - 1) as f64))
+            .collect();
+        let mut second = vec![DVec3::ZERO; suns.len()];
+        let mut share = DVec3::ZERO;
+        let from_centre = medium.radius_m + altitude_m;
+        for level in levels(medium.mu_horizon(altitude_m), fineness.cosines) {
+            let even = level.solid_angle_sr / (4.0 * PI);
+            let Some(path) = medium.path_m(altitude_m, level.mu, level.on_ground) else {
                 continue;
             };
-            let mut kept = DVec3::ONE;
-            for (middle, length) in Medium::intervals(path, INTERVALS) {
-                let (there_m, radius) = medium.altitude_along(altitude_m, way.mu, middle);
-                let mu_sun_there = ((medium.radius_m + altitude_m) * mu_sun + middle * nu) / radius;
-                let densities = medium.densities(there_m);
-                let depth = medium.extinction_per_m(densities) * length;
-                let seen = kept * exp(-0.5 * depth);
-                let scattered = seen * medium.scattering_per_m(densities) * length;
-                let sun = self.sun_transmittance(there_m, mu_sun_there.clamp(-1.0, 1.0));
-                second += scattered * sun * (even / (4.0 * PI));
+            let ways: Vec<Way> = level.ways(fineness.even_azimuths).collect();
+            let each = even / f64::from(fineness.even_azimuths);
+            let mut add =
+                |distance_m: f64, there_m: f64, radius_m: f64, weight: DVec3, cosine: bool| {
+                    for (second, mu_sun) in second.iter_mut().zip(&suns) {
+                        let mut light = DVec3::ZERO;
+                        for way in &ways {
+                            let there =
+                                (from_centre * mu_sun + distance_m * way.nu(*mu_sun)) / radius_m;
+                            let there = there.clamp(-1.0, 1.0);
+                            let facing = if cosine { there.max(0.0) } else { 1.0 };
+                            if facing > 0.0 {
+                                light += facing * self.sun_transmittance(there_m, there);
+                            }
+                        }
+                        *second += weight * light;
+                    }
+                };
+            for stand in medium.walk(altitude_m, level.mu, path) {
+                let scattered =
+                    stand.kept * medium.scattering_per_m(stand.densities) * stand.length_m;
                 share += scattered * even;
-                kept *= exp(-depth);
+                if scattered.max_element() > LEAST {
+                    let weight = scattered * (each / (4.0 * PI));
+                    add(
+                        stand.distance_m,
+                        stand.altitude_m,
+                        stand.radius_m,
+                        weight,
+                        false,
+                    );
+                }
             }
-            if way.on_ground {
-                let end = path[2];
-                let (_, radius) = medium.altitude_along(altitude_m, way.mu, end);
-                let mu_sun = ((medium.radius_m + altitude_m) * mu_sun + end * nu) / radius;
-                let lit = self.sun_transmittance(0.0, mu_sun.clamp(-1.0, 1.0)) * mu_sun.max(0.0);
-                second += kept * lit * (medium.ground_albedo * FRAC_1_PI * even);
+            if level.on_ground {
+                let kept =
+                    exp(-medium.depth_of(altitude_m, level.mu, path, fineness.depth_intervals));
+                let weight = kept * (medium.ground_albedo * FRAC_1_PI * each);
+                add(path[2], 0.0, medium.radius_m, weight, true);
             }
         }
-        second / (DVec3::ONE - share).max(DVec3::splat(1e-3))
+        second
+            .into_iter()
+            .map(|second| second / (DVec3::ONE - share).max(DVec3::splat(1e-3)))
+            .collect()
     }
 
     fn fresh_sky_irradiance(&self, mu_sun: f64) -> DVec3 {
@@ -242,19 +344,18 @@ impl BaseTables {
         let g = medium.mie_asymmetry;
         let base = 1.0 + g * g - 2.0 * g * nu;
         let mie = (1.0 - g * g) / (4.0 * PI * base * base.sqrt());
-        let (mut kept, mut sum) = (DVec3::ONE, DVec3::ZERO);
-        for (middle, length) in Medium::intervals(path, 2 * INTERVALS) {
-            let (there_m, radius) = medium.altitude_along(altitude_m, way.mu, middle);
-            let mu_sun_there = ((medium.radius_m + altitude_m) * mu_sun + middle * nu) / radius;
-            let mu_sun_there = mu_sun_there.clamp(-1.0, 1.0);
-            let densities = medium.densities(there_m);
-            let depth = medium.extinction_per_m(densities) * length;
-            let once = medium.rayleigh_per_m * (densities[0] * rayleigh)
-                + medium.mie_scattering_per_m * (densities[1] * mie);
-            let light = once * self.sun_transmittance(there_m, mu_sun_there)
-                + medium.scattering_per_m(densities) * self.orders_per_sr(there_m, mu_sun_there);
-            sum += kept * exp(-0.5 * depth) * light * length;
-            kept *= exp(-depth);
+        let mut sum = DVec3::ZERO;
+        for stand in medium.walk(altitude_m, way.mu, path) {
+            let there =
+                ((medium.radius_m + altitude_m) * mu_sun + stand.distance_m * nu) / stand.radius_m;
+            let there = there.clamp(-1.0, 1.0);
+            let [air, aerosol, _] = stand.densities;
+            let once = medium.rayleigh_per_m * (air * rayleigh)
+                + medium.mie_scattering_per_m * (aerosol * mie);
+            let light = once * self.sun_transmittance(stand.altitude_m, there)
+                + medium.scattering_per_m(stand.densities)
+                    * self.orders_per_sr(stand.altitude_m, there);
+            sum += stand.kept * light * stand.length_m;
         }
         sum
     }
@@ -286,22 +387,65 @@ impl Way {
     }
 }
 
-/// Directions of the sphere: cosines by Gauss and Legendre, dense towards the horizon, at even azimuths.
-fn sphere(mu_horizon: f64, azimuths: u32) -> impl Iterator<Item = Way> {
-    [1.0, -1.0].into_iter().flat_map(move |pole: f64| {
-        GAUSS.into_iter().flat_map(move |[place, weight]| {
-            (0..azimuths).map(move |i| {
-                let angle = PI * (f64::from(i) + 0.5) / f64::from(azimuths);
-                Way {
-                    mu: mu_horizon + (pole - mu_horizon) * place * place,
-                    cos_azimuth: angle.cos(),
-                    on_ground: pole < 0.0,
-                    solid_angle_sr: (pole - mu_horizon).abs() * 2.0 * place * weight * 2.0 * PI
-                        / f64::from(azimuths),
-                }
-            })
+/// Directions of the sphere with one cosine of the zenith angle.
+#[derive(Clone, Copy)]
+struct Level {
+    mu: f64,
+    on_ground: bool,
+    solid_angle_sr: f64,
+}
+
+impl Level {
+    /// Its directions at even azimuths.
+    fn ways(self, azimuths: u32) -> impl Iterator<Item = Way> {
+        (0..azimuths).map(move |i| Way {
+            mu: self.mu,
+            cos_azimuth: (PI * (f64::from(i) + 0.5) / f64::from(azimuths)).cos(),
+            on_ground: self.on_ground,
+            solid_angle_sr: self.solid_angle_sr / f64::from(azimuths),
         })
+    }
+}
+
+/// Levels of the sphere: cosines by Gauss and Legendre, dense towards the horizon.
+fn levels(mu_horizon: f64, cosines: usize) -> impl Iterator<Item = Level> {
+    [1.0, -1.0].into_iter().flat_map(move |pole: f64| {
+        gauss(cosines)
+            .into_iter()
+            .map(move |[place, weight]| Level {
+                mu: mu_horizon + (pole - mu_horizon) * place * place,
+                on_ground: pole < 0.0,
+                solid_angle_sr: (pole - mu_horizon).abs() * 2.0 * place * weight * 2.0 * PI,
+            })
     })
+}
+
+/// Directions of the sphere.
+fn sphere(mu_horizon: f64, azimuths: u32) -> impl Iterator<Item = Way> {
+    levels(mu_horizon, SKY_COSINES).flat_map(move |level| level.ways(azimuths))
+}
+
+/// Points and weights of Gauss and Legendre's rule on 0…1: roots of Legendre's polynomial by Newton's method from
+/// cos(π (i + 3/4)/(n + 1/2)) (Press et al., Numerical Recipes, 4.6).
+fn gauss(count: usize) -> Vec<[f64; 2]> {
+    let n = count as f64;
+    (0..count)
+        .map(|i| {
+            let mut x = (PI * (i as f64 + 0.75) / (n + 0.5)).cos();
+            let mut slope = 1.0;
+            for _ in 0..8 {
+                let (mut before, mut p) = (1.0, x);
+                for k in 1..count {
+                    let k = k as f64;
+                    let next = ((2.0 * k + 1.0) * x * p - k * before) / (k + 1.0);
+                    (before, p) = (p, next);
+                }
+                slope = n * (x * p - before) / (x * x - 1.0);
+                x -= p / slope;
+            }
+            [0.5 - 0.5 * x, 1.0 / ((1.0 - x * x) * slope * slope)]
+        })
+        .collect()
 }
 
 /// Place of a direction above the horizon in the table of optical depths: by the distance to the top of the air and the

@@ -16,6 +16,36 @@ const OZONE_HALF_WIDTH_M: f64 = 15_000.0;
 /// Air ends where it is e^-12.5, 4e-6, of what it is at the ground; at 100 km on the Earth.
 const SCALE_HEIGHTS_TO_TOP: f64 = 12.5;
 
+/// First point of Gauss and Legendre's rule of two on 0…1: (1 − 1/√3)/2.
+const NEAR_POINT: f64 = 0.211_324_865_405_187_1;
+
+/// Largest optical depth of a step where nothing is dimmed yet, and how that grows with the depth in front.
+const STEP_DEPTH: f64 = 0.8;
+const STEP_GROWTH: f64 = 0.25;
+/// Largest change of altitude in a step, in scale heights.
+const STEP_HEIGHTS: f64 = 1.0;
+/// Longest step, in radii of the planet.
+const STEP_RADII: f64 = 0.02;
+/// Steps of a path at most.
+const STEPS_MAX: usize = 256;
+/// Optical depth behind which nothing is seen.
+const OPAQUE: f64 = 20.0;
+
+/// A place on a path that stands for a part of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stand {
+    /// From the path's origin.
+    pub(super) distance_m: f64,
+    pub(super) altitude_m: f64,
+    /// From the planet's centre.
+    pub(super) radius_m: f64,
+    pub(super) densities: [f64; 3],
+    /// Transmittance from the origin.
+    pub(super) kept: DVec3,
+    /// Of the part.
+    pub(super) length_m: f64,
+}
+
 /// Air, aerosol and ozone around a sphere.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Medium {
@@ -72,6 +102,25 @@ impl Medium {
         })
     }
 
+    /// The air a share of the way from one to another around the same planet.
+    #[must_use]
+    pub fn between(from: &Self, to: &Self, share: f64) -> Self {
+        let mix = |of: fn(&Self) -> f64| of(from) + share * (of(to) - of(from));
+        let mix_colours = |of: fn(&Self) -> DVec3| of(from).lerp(of(to), share);
+        Self {
+            radius_m: to.radius_m,
+            top_m: mix(|m| m.top_m),
+            rayleigh_per_m: mix_colours(|m| m.rayleigh_per_m),
+            rayleigh_scale_m: mix(|m| m.rayleigh_scale_m),
+            mie_scattering_per_m: mix_colours(|m| m.mie_scattering_per_m),
+            mie_extinction_per_m: mix_colours(|m| m.mie_extinction_per_m),
+            mie_scale_m: mix(|m| m.mie_scale_m),
+            mie_asymmetry: mix(|m| m.mie_asymmetry),
+            ozone_per_m: mix_colours(|m| m.ozone_per_m),
+            ground_albedo: mix(|m| m.ground_albedo),
+        }
+    }
+
     /// Densities of air, aerosol and ozone relative to their coefficients.
     pub(super) fn densities(&self, altitude_m: f64) -> [f64; 3] {
         [
@@ -105,6 +154,18 @@ impl Medium {
         (aerosol / air.max(1e-9)).min(1e3)
     }
 
+    /// Height over which what dims falls to 1/e, the lesser where both air and aerosol do, m.
+    #[must_use]
+    pub fn row_scale_m(&self) -> f64 {
+        let air = self.rayleigh_per_m.max_element() > 0.0;
+        let aerosol = self.mie_extinction_per_m.max_element() > 0.0;
+        match (air, aerosol) {
+            (true, true) | (false, false) => self.rayleigh_scale_m.min(self.mie_scale_m),
+            (true, false) => self.rayleigh_scale_m,
+            (false, true) => self.mie_scale_m,
+        }
+    }
+
     /// Distances at which a path begins, is lowest and ends, from an altitude with a cosine of the zenith angle.
     pub(super) fn path_m(&self, altitude_m: f64, mu: f64, on_ground: bool) -> Option<[f64; 3]> {
         let r = self.radius_m;
@@ -123,7 +184,9 @@ impl Medium {
         } else {
             far
         };
-        (end > start).then(|| [start, (-b).clamp(start, end), end])
+        // An eye on the ground has ground before it, and no air.
+        let end = if on_ground { end.max(start) } else { end };
+        (end > start || on_ground).then(|| [start, (-b).clamp(start, end), end])
     }
 
     /// Altitude at a distance along a path, and the radius there.
@@ -134,35 +197,104 @@ impl Medium {
         (excess / (radius + r), radius)
     }
 
-    /// Middles and lengths of the intervals of a path: short towards its lowest place, where air is dense.
-    pub(super) fn intervals(
+    /// Points and weights of a path: two of Gauss and Legendre's in each interval, which are short towards the path's
+    /// lowest place, where air is dense.
+    pub(super) fn points(
         [start, lowest, end]: [f64; 3],
         count: u32,
     ) -> impl Iterator<Item = (f64, f64)> {
         let n = f64::from(count);
-        let part = move |from: f64, to: f64, x: f64| {
-            let (near, far) = (x / n, (x + 1.0) / n);
-            let middle = 0.5 * (near + far);
-            (
-                from + (to - from) * middle * middle,
-                (to - from).abs() * (far - near) * (far + near),
-            )
+        let part = move |from: f64, to: f64, i: u32| {
+            let x = (f64::from(i / 2) + [NEAR_POINT, 1.0 - NEAR_POINT][i as usize % 2]) / n;
+            (from + (to - from) * x * x, (to - from).abs() * x / n)
         };
-        let down = if lowest > start { count } else { 0 };
-        let up = if end > lowest { count } else { 0 };
-        let falling = (0..down)
-            .rev()
-            .map(move |i| part(lowest, start, f64::from(i)));
-        falling.chain((0..up).map(move |i| part(lowest, end, f64::from(i))))
+        let down = if lowest > start { 2 * count } else { 0 };
+        let up = if end > lowest { 2 * count } else { 0 };
+        let falling = (0..down).rev().map(move |i| part(lowest, start, i));
+        falling.chain((0..up).map(move |i| part(lowest, end, i)))
+    }
+
+    /// Points that stand for a path where light is scattered into it, in order. Intervals are as long as air and what it
+    /// lets through change little: depth by [`STEP_DEPTH`] and more behind what is dim anyway, altitude by
+    /// [`STEP_HEIGHTS`] scale heights.
+    pub(super) fn walk(&self, altitude_m: f64, mu: f64, [start, _, end]: [f64; 3]) -> Vec<Stand> {
+        let r = self.radius_m + altitude_m;
+        let reach_m = |distance_m: f64, depth: DVec3| {
+            let (there_m, radius) = self.altitude_along(altitude_m, mu, distance_m);
+            let densities = self.densities(there_m);
+            let [air, aerosol, _] = densities;
+            let changes = |air: f64, aerosol: f64| {
+                (air / self.rayleigh_scale_m + aerosol / self.mie_scale_m)
+                    / (air + aerosol).max(1e-300)
+            };
+            // Aerosol weighs most in the red.
+            let change = changes(
+                self.rayleigh_per_m.x * air,
+                self.mie_extinction_per_m.x * aerosol,
+            );
+            let height =
+                STEP_HEIGHTS / change.max(1.0 / self.rayleigh_scale_m.max(self.mie_scale_m));
+            let slope = ((r * mu + distance_m) / radius).abs().min(1.0);
+            let bend = 0.5 * (1.0 - slope * slope) / radius;
+            let climb = 2.0 * height / (slope + (slope * slope + 4.0 * bend * height).sqrt());
+            let allowed = STEP_DEPTH * exp(STEP_GROWTH * depth.min(DVec3::splat(40.0)))
+                / self.extinction_per_m(densities).max(DVec3::splat(1e-30));
+            climb
+                .min(allowed.min_element())
+                .min(STEP_RADII * self.radius_m)
+        };
+        let mut stands = Vec::new();
+        let (mut at, mut depth) = (start, DVec3::ZERO);
+        while at < end && stands.len() < 2 * STEPS_MAX && depth.min_element() < OPAQUE {
+            let rest = end - at;
+            let far = reach_m(at, depth).min(rest);
+            let near = reach_m(at + far, depth).clamp(0.125 * far, far);
+            let length = if stands.len() + 2 == 2 * STEPS_MAX {
+                rest
+            } else {
+                near.max(1e-4 * rest)
+            };
+            let mut stand = |share: f64| {
+                let distance_m = at + share * length;
+                let (there_m, radius_m) = self.altitude_along(altitude_m, mu, distance_m);
+                let densities = self.densities(there_m);
+                stands.push(Stand {
+                    distance_m,
+                    altitude_m: there_m,
+                    radius_m,
+                    densities,
+                    kept: DVec3::ZERO,
+                    length_m: 0.5 * length,
+                });
+                self.extinction_per_m(densities)
+            };
+            let (first, second) = (stand(NEAR_POINT), stand(1.0 - NEAR_POINT));
+            // Between the points extinction is a straight line, which goes on beyond them.
+            let all = 0.5 * length * (first + second);
+            let beyond = 0.5 * NEAR_POINT / (1.0 - 2.0 * NEAR_POINT) * (second - first);
+            let to_first = (NEAR_POINT * length * (first - beyond)).max(DVec3::ZERO);
+            let from_second = (NEAR_POINT * length * (second + beyond)).max(DVec3::ZERO);
+            let count = stands.len();
+            stands[count - 2].kept = exp(-(depth + to_first));
+            stands[count - 1].kept = exp(-(depth + (all - from_second).max(DVec3::ZERO)));
+            depth += all;
+            at = if length >= rest { end } else { at + length };
+        }
+        stands
     }
 
     /// Optical depth of a path.
     pub(super) fn depth(&self, altitude_m: f64, mu: f64, count: u32) -> DVec3 {
-        let Some(path) = self.path_m(altitude_m, mu, false) else {
-            return DVec3::ZERO;
-        };
+        self.path_m(altitude_m, mu, false)
+            .map_or(DVec3::ZERO, |path| {
+                self.depth_of(altitude_m, mu, path, count)
+            })
+    }
+
+    /// The same of a known path.
+    pub(super) fn depth_of(&self, altitude_m: f64, mu: f64, path: [f64; 3], count: u32) -> DVec3 {
         let mut columns = [0.0; 3];
-        for (middle, length) in Self::intervals(path, count) {
+        for (middle, length) in Self::points(path, count) {
             let (altitude, _) = self.altitude_along(altitude_m, mu, middle);
             for (column, density) in columns.iter_mut().zip(self.densities(altitude)) {
                 *column += density * length;

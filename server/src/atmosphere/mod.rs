@@ -2,15 +2,18 @@
 //!
 //! - [`Medium`]: what the air is made of, in f64.
 //! - [`BaseTables`]: optical depths, higher orders of scattering and the lit ground; they depend on the air alone.
+//! - [`AirKeeper`]: which of them are shown while the air changes.
 //! - [`AirLight`]: the light of one position of the sun on clouds and ground.
 //! - [`AirViews`]: sky and haze on the device, for an altitude; all viewers there share them.
 
 mod base;
+mod keeper;
 mod light;
 mod medium;
 mod views;
 
 pub use base::BaseTables;
+pub use keeper::AirKeeper;
 pub use light::AirLight;
 pub use medium::Medium;
 pub use views::{AirViews, key_of_altitude, table_keys};

@@ -252,6 +252,11 @@ impl FrameLoop {
                 IDLE_INTERVAL
             };
         }
+        if self.renderer.follow_air() {
+            for pace in self.paces.values_mut() {
+                pace.change = Change::Seen;
+            }
+        }
         for viewer in shown {
             if let Some(pace) = self.paces.get_mut(&viewer) {
                 pace.change = Change::Seen;
@@ -612,7 +617,7 @@ impl FrameLoop {
             return Duration::ZERO;
         }
         let next = self.next_due();
-        let rest = if self.renderer.sky_is_changing() {
+        let rest = if self.renderer.sky_is_changing() || self.renderer.air.is_moving() {
             Duration::from_millis(20)
         } else {
             IDLE_INTERVAL

@@ -11,7 +11,7 @@ use super::sky_steps::steps_between;
 use super::sky_time::SkyTime;
 use super::sun_volumes::{SunVolumes, asks_for_volume};
 use super::viewers_on_device::ActiveViewer;
-use crate::atmosphere::{AirViews, BaseTables, table_keys};
+use crate::atmosphere::{AirKeeper, AirViews, table_keys};
 use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
 use crate::cells::Cells;
 use crate::clock;
@@ -34,6 +34,7 @@ use skycell_shaders::Features;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64};
+use std::time::Instant;
 
 /// A change of the scene that is no larger is one of those that time makes, and texels are mixed towards it.
 const STEPS_OF_A_MOMENT_MAX: f64 = 1.0;
@@ -89,7 +90,7 @@ pub(super) struct SkyRenderer {
     pub(super) ideal_active: Vec<ActiveLayer>,
     pub(super) light: SkyLight,
     /// Tables of the scene's air, where it has such.
-    pub(super) air_base: Option<Arc<BaseTables>>,
+    pub(super) air: AirKeeper,
     pub(super) air_views: AirViews,
     pub(super) drifts: Vec<DVec3>,
     pub(super) active_cells: BTreeMap<CellId, ActiveCell>,
@@ -126,7 +127,7 @@ impl SkyRenderer {
             sun: SunVolumes::default(),
             cells: Cells::new(placed),
             light: sky_light(&scene, None, 0.0),
-            air_base: None,
+            air: AirKeeper::new(sun_angular_radius_rad()),
             air_views: AirViews::new(&gpu),
             scene: scene.clone(),
             scene_revision,
@@ -296,22 +297,33 @@ impl SkyRenderer {
     /// The light of the present scene, and the air that it passes. Texels hold which direction it comes from: the sun's,
     /// whose moves are told apart elsewhere, or the moon's.
     pub(super) fn take_light(&mut self, cloud_altitude_m: f64) {
-        self.air_base = BaseTables::of(
-            &self.scene,
-            sun_angular_radius_rad(),
-            self.air_base.as_ref(),
-        );
-        let light = sky_light(&self.scene, self.air_base.as_ref(), cloud_altitude_m);
+        if self.sky_time.is_live() {
+            self.air.follow(&self.scene, Instant::now());
+        } else {
+            self.air.make_now(&self.scene);
+        }
+        let light = sky_light(&self.scene, self.air.shown(), cloud_altitude_m);
         let old = std::mem::replace(&mut self.light, light);
         let moonlit = old.is_moon || self.light.is_moon;
         if moonlit && old.sun_direction != self.light.sun_direction {
             self.caches.age_all();
         }
-        self.air_views.set(
-            &self.gpu,
-            self.air_base.as_ref(),
-            self.light.sun_direction.y,
-        );
+        self.air_views
+            .set(&self.gpu, self.air.shown(), self.light.sun_direction.y);
+    }
+
+    /// Brings the tables of air that has changed to where they are by now; true where something else is to be seen.
+    pub(super) fn follow_air(&mut self) -> bool {
+        if !self.air.is_moving() || !self.air.follow(&self.scene, Instant::now()) {
+            return false;
+        }
+        let cloud_altitude_m = self
+            .active
+            .first()
+            .map_or(0.0, |layer| layer.proxy_altitude_m);
+        self.take_light(cloud_altitude_m);
+        self.scene_changed_for_screen_space(true);
+        true
     }
 
     /// Runs every pipeline once: a driver may compile at the first dispatch, which must not be a viewer's frame.

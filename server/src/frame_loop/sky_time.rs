@@ -101,6 +101,11 @@ impl SkyTime {
         self.moves
     }
 
+    /// Whether time passes: nobody waits for a frame of a single picture.
+    pub(super) fn is_live(&self) -> bool {
+        self.shown.is_some()
+    }
+
     pub(super) fn wind_rate(&self) -> f64 {
         self.wind_rate
     }

@@ -27,7 +27,8 @@ struct Air {
     haze_mie_weight: f32,
     /// First row that a pass makes.
     first_row: u32,
-    pad_air: u32,
+    /// Height over which what dims most falls to 1/e: sets how dense rows stand at the horizon.
+    row_scale_m: f32,
 }
 
 const PI: f32 = 3.141592653589793;
@@ -35,9 +36,9 @@ const OZONE_MIDDLE_M: f32 = 25000.0;
 const OZONE_HALF_WIDTH_M: f32 = 15000.0;
 
 /// Texels of the sky's table: across by azimuth, first rows towards the sky, then towards the ground.
-const VIEW_COLUMNS: u32 = 48u;
-const VIEW_SKY_ROWS: u32 = 112u;
-const VIEW_GROUND_ROWS: u32 = 48u;
+const VIEW_COLUMNS: u32 = 96u;
+const VIEW_SKY_ROWS: u32 = 120u;
+const VIEW_GROUND_ROWS: u32 = 72u;
 /// Texels of the haze's table; its slices are distances.
 const HAZE_COLUMNS: u32 = 16u;
 const HAZE_SKY_ROWS: u32 = 32u;
@@ -76,38 +77,75 @@ fn air_path(radius_m: f32, top_m: f32, altitude_m: f32, mu: f32, on_ground: bool
     return AirPath(start, end, clamp(-b, start, end));
 }
 
+/// Share of the angle in which air changes over which rows stand evenly. Tuned: tests/atmosphere, errors at the horizon.
+const NEAR_SHARE: f32 = 0.15;
+/// Least that is stored: tables hold logarithms.
+const LEAST_STORED: f32 = 1e-30;
+
 /// Nearest distance from which ground is told apart, m.
 const GROUND_NEAREST_M: f32 = 0.1;
 
-/// The elevation's place among the rows. Towards the sky it is dense at the horizon: with s the chord from the zenith in
-/// that of the horizon, it is √(1 - s); from outside of the air, where only directions up to the air's upper rim have any,
-/// it is the root of the cosine's share between both rims. Towards the ground it goes with the logarithm of the distance
-/// in that of the horizon.
-fn elevation_place(radius_m: f32, top_m: f32, altitude_m: f32, mu: f32, on_ground: bool, outside: bool) -> f32 {
+/// Elevations of the table's rows towards the sky, seen from within the air: with w the tangent of half the angle above
+/// the horizon, rows stand evenly in ln(1 + w/near). Near the horizon what is seen changes over the angle in which a ray's
+/// lowest place rises by a scale height; above it over a share of the elevation.
+struct SkyRows {
+    sine_dip: f32,
+    cosine_dip: f32,
+    near: f32,
+    /// ln(1 + w/near) at the zenith.
+    span: f32,
+}
+
+fn sky_rows(radius_m: f32, scale_m: f32, altitude_m: f32) -> SkyRows {
+    let sine = -mu_horizon(radius_m, altitude_m);
+    let cosine = radius_m / (radius_m + max(altitude_m, 0.0));
+    // A lowest place rises by R sin(dip) an angle, and by R/2 of its square.
+    let thinnest = 2.0 * scale_m / radius_m;
+    let near = NEAR_SHARE * thinnest / (sine + sqrt(sine * sine + thinnest));
+    // tan(45° + dip/2)
+    let zenith = (1.0 + sine) / max(cosine, 1e-6);
+    return SkyRows(sine, cosine, near, log(1.0 + zenith / near));
+}
+
+/// The elevation's place among the rows, 0 at the viewer's own horizon. From outside of the air, where only directions up
+/// to the air's upper rim have any, it is the root of the cosine's share between both rims. Towards the ground a
+/// cosine of it goes with the distance's logarithm in that of the horizon: dense there, and even in angle around the nadir.
+fn elevation_place(medium: Air, altitude_m: f32, mu: f32, on_ground: bool) -> f32 {
+    let radius_m = medium.radius_m;
+    let top_m = medium.top_m;
     let from_centre = radius_m + altitude_m;
     let horizon = mu_horizon(radius_m, altitude_m);
-    let zenith = sqrt(max(1.0 - mu, 0.0) / (1.0 - horizon));
-    let inside = sqrt(saturate(1.0 - zenith));
+    let rows = sky_rows(radius_m, medium.row_scale_m, altitude_m);
+    let level = sqrt(max(1.0 - mu * mu, 0.0));
+    let sine = max(mu * rows.cosine_dip + level * rows.sine_dip, 0.0);
+    let cosine = level * rows.cosine_dip - mu * rows.sine_dip;
+    let inside = saturate(log(1.0 + sine / (max(1.0 + cosine, 1e-6) * rows.near)) / rows.span);
     let rim = -sqrt(max((altitude_m - top_m) * (altitude_m + top_m + 2.0 * radius_m), 0.0)) / from_centre;
     let limb = sqrt(saturate((mu - horizon) / max(rim - horizon, 1e-7)));
     let h = max(altitude_m, GROUND_NEAREST_M);
     let c = h * (h + 2.0 * radius_m);
     let b = from_centre * mu;
     let ground_m = max(c / max(sqrt(max(b * b - c, 0.0)) - b, 1e-3), h);
-    let ground = saturate(log(ground_m / h) / (0.5 * log(c) - log(h)));
-    return select(select(inside, limb, outside), ground, on_ground);
+    let share = saturate(log(ground_m / h) / (0.5 * log(c) - log(h)));
+    let ground = acos(1.0 - 2.0 * share) / PI;
+    return select(select(inside, limb, medium.altitude_m > top_m), ground, on_ground);
 }
 
-/// The inverse: the cosine of the zenith angle.
-fn mu_of_elevation(radius_m: f32, top_m: f32, altitude_m: f32, place: f32, on_ground: bool) -> f32 {
+/// The inverse for the altitude of the tables: the cosine of the zenith angle.
+fn mu_of_elevation(medium: Air, place: f32, on_ground: bool) -> f32 {
+    let radius_m = medium.radius_m;
+    let top_m = medium.top_m;
+    let altitude_m = medium.altitude_m;
     let from_centre = radius_m + altitude_m;
     let horizon = mu_horizon(radius_m, altitude_m);
-    let chord = 1.0 - place * place;
+    let rows = sky_rows(radius_m, medium.row_scale_m, altitude_m);
+    let w = rows.near * (exp(place * rows.span) - 1.0);
+    let inside = (2.0 * w * rows.cosine_dip - (1.0 - w * w) * rows.sine_dip) / (1.0 + w * w);
     let rim = -sqrt(max((altitude_m - top_m) * (altitude_m + top_m + 2.0 * radius_m), 0.0)) / from_centre;
-    let sky = select(1.0 - (1.0 - horizon) * chord * chord, mix(horizon, rim, place * place), altitude_m > top_m);
+    let sky = select(clamp(inside, horizon, 1.0), mix(horizon, rim, place * place), altitude_m > top_m);
     let h = max(altitude_m, GROUND_NEAREST_M);
     let c = h * (h + 2.0 * radius_m);
-    let ground_m = h * exp(place * (0.5 * log(c) - log(h)));
+    let ground_m = h * exp((0.5 - 0.5 * cos(PI * place)) * (0.5 * log(c) - log(h)));
     // Of the triangle with the planet's centre: (R + h)² + d² + 2 (R + h) d µ = R².
     let ground = clamp(-(c + ground_m * ground_m) / (2.0 * from_centre * ground_m), -1.0, horizon);
     return select(sky, ground, on_ground);

@@ -2,7 +2,7 @@
 // distances. As far as a distance d the air keeps e^(-e d) of the light behind and adds s (1 - e^(-e d)): e is its mean
 // extinction, s its mean source. Both change little along a path, down to d = 0, where light and depth themselves vanish.
 #import skycell::air::{HAZE_COLUMNS, HAZE_SKY_ROWS, HAZE_GROUND_ROWS, HAZE_SLICES, air_path, mu_of_elevation, cos_azimuth_of, share_of_distance, phase_rayleigh_per_sr}
-#import skycell::air_march::{air, AirSum, add_interval}
+#import skycell::air_march::{air, AirSum, add_interval, step_m}
 #import skycell::phase::phase_hg_per_sr
 
 /// Source over the mixed phase, for directions and distances.
@@ -10,8 +10,8 @@
 /// Mean extinction, 1/m: across by distance, down by elevation. It does not depend on azimuth.
 @group(1) @binding(1) var extinction_out: texture_storage_2d<rgba32float, write>;
 
-/// Intervals of a slice.
-const INTERVALS: u32 = 4u;
+/// Steps of a slice at most; the last takes what is left.
+const STEPS_MAX: u32 = 48u;
 
 @compute @workgroup_size(16, 4, 1)
 fn make_air_haze(@builtin(global_invocation_id) id: vec3u) {
@@ -21,7 +21,7 @@ fn make_air_haze(@builtin(global_invocation_id) id: vec3u) {
     let on_ground = row >= HAZE_SKY_ROWS;
     let rows = select(HAZE_SKY_ROWS, HAZE_GROUND_ROWS, on_ground);
     let elevation = f32(row - select(0u, HAZE_SKY_ROWS, on_ground)) / f32(rows - 1u);
-    let mu = mu_of_elevation(medium.radius_m, medium.top_m, medium.altitude_m, elevation, on_ground);
+    let mu = mu_of_elevation(medium, elevation, on_ground);
     let azimuth = cos_azimuth_of(f32(id.x) / f32(HAZE_COLUMNS - 1u));
     let across = sqrt(max((1.0 - mu * mu) * (1.0 - medium.mu_sun * medium.mu_sun), 0.0));
     let nu = clamp(mu * medium.mu_sun + across * azimuth, -1.0, 1.0);
@@ -37,12 +37,12 @@ fn make_air_haze(@builtin(global_invocation_id) id: vec3u) {
     for (var slice = 0u; slice < HAZE_SLICES; slice += 1u) {
         let first = select(0.0, 1e-4, slice == 0u);
         let end = length * max(share_of_distance(f32(slice) / f32(HAZE_SLICES - 1u), on_ground), first);
-        let step = (end - at) / f32(INTERVALS);
-        for (var i = 0u; i < INTERVALS; i += 1u) {
-            let middle = path.start_m + at + (f32(i) + 0.5) * step;
-            sum = add_interval(sum, medium, mu, nu, rayleigh_per_sr, middle, step);
+        for (var i = 0u; i < STEPS_MAX && at < end; i += 1u) {
+            let rest = end - at;
+            let step = select(step_m(medium, mu, nu, path.start_m + at, rest, sum.depth), rest, i + 1u == STEPS_MAX);
+            sum = add_interval(sum, medium, mu, nu, rayleigh_per_sr, path.start_m + at, step);
+            at = select(at + step, end, step >= rest);
         }
-        at = end;
         let light = sum.air_per_sr + sum.mie * mie_per_sr;
         let series = sum.depth * (1.0 - sum.depth * (0.5 - sum.depth * (1.0 / 6.0)));
         let lost = select(1.0 - exp(-sum.depth), series, sum.depth < vec3f(1e-2));

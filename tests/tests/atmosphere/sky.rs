@@ -13,42 +13,58 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 /// Sun elevations.
-const SUNS_DEG: [f64; 9] = [-6.0, -4.0, -2.0, 0.0, 2.0, 10.0, 30.0, 60.0, 90.0];
-const DIRECTIONS: usize = 200;
-/// Largest relative error of nineteen of twenty directions, and of all, for eyes near the ground while the sun is at the
-/// horizon, and of half of them while it stands higher. This guards what was measured and is no target: with a high sun the
-/// last tenth of a degree above the horizon is up to 25 % off (p95 8 % at 90°), at dusk radiance falls by an e-fold a degree,
-/// and from the high air errors are larger. All are printed.
-const P95_PERCENT: f64 = 1.0;
-const WORST_PERCENT: f64 = 2.0;
-const P50_PERCENT: f64 = 1.2;
+pub(crate) const SUNS_DEG: [f64; 9] = [-6.0, -4.0, -2.0, 0.0, 2.0, 10.0, 30.0, 60.0, 90.0];
+/// From below the sea to orbit; at 100 km the air ends.
+const ALTITUDES_M: [f64; 10] = [
+    -100.0, 0.0, 2.0, 500.0, 2_000.0, 5_000.0, 12_000.0, 50_000.0, 100_000.0, 400_000.0,
+];
+/// Directions: even over the sphere, around the horizon, around the sun.
+const EVEN: usize = 120;
+const AT_HORIZON: usize = 50;
+const AT_SUN: usize = 30;
+pub(crate) const DIRECTIONS: usize = EVEN + AT_HORIZON + AT_SUN;
+/// Largest relative error in any direction and colour. Stated by the project, not measured.
+const BAR_PERCENT: f64 = 1.0;
+/// What is darker than this is compared as if it were that bright, per unit of the sun's irradiance, 1/sr: fifteen stops
+/// below the noon sky.
+const DARK_PER_SR: f64 = 1e-6;
 
-fn scene(elevation_deg: f64) -> Arc<Scene> {
+pub(crate) fn scene(elevation_deg: f64) -> Arc<Scene> {
     let document = json!({"version": 1, "layers": [], "atmosphere": {"model": "physical"},
         "sun": {"elevation_deg": elevation_deg, "azimuth_deg": 90}});
     Arc::new(Scene::from_json(&document).expect("a scene"))
 }
 
-/// Directions over the sphere, many around the horizon; without the sun's disc.
-fn rays(altitude_m: f64, sun: DVec3) -> Vec<Ray> {
+/// 200 directions: 120 even over the sphere, 50 whose sine is 2e-5 to 0.1 above or below that of the horizon, evenly in its
+/// logarithm, 30 that are 0.3° to 15° from the sun. Nearer to the horizon than that, f32 and f64 do not agree on which side
+/// a ray passes; the sun's disc is no part of the sky.
+pub(crate) fn rays(altitude_m: f64, sun: DVec3) -> Vec<Ray> {
     let mut random = Random(7);
     let radius_m = 6.36e6;
     let horizon = -(altitude_m.max(0.0) * (altitude_m.max(0.0) + 2.0 * radius_m)).sqrt()
         / (radius_m + altitude_m.max(0.0));
     let mut rays = Vec::new();
     while rays.len() < DIRECTIONS {
-        let y: f64 = match rays.len() % 4 {
-            0 => random.between(horizon - 0.05, horizon + 0.05),
-            1 => random.between(horizon, 1.0),
-            _ => random.between(-1.0, 1.0),
-        };
-        let y = y.clamp(-1.0, 1.0);
         let yaw = random.between(0.0, 2.0 * PI);
-        let across = (1.0 - y * y).max(0.0).sqrt();
-        let direction = DVec3::new(across * yaw.cos(), y, across * yaw.sin());
+        let direction = if rays.len() < EVEN + AT_HORIZON {
+            let y: f64 = if rays.len() < EVEN {
+                random.between(-1.0, 1.0)
+            } else {
+                let away = 0.1 * (-random.between(0.0, 5_000f64.ln())).exp();
+                horizon + away * [1.0, -1.0][rays.len() % 2]
+            };
+            let across = (1.0 - y * y).max(0.0).sqrt();
+            DVec3::new(across * yaw.cos(), y, across * yaw.sin())
+        } else {
+            let angle = 0.3f64.to_radians() * random.between(0.0, 50f64.ln()).exp();
+            let side = sun.any_orthonormal_vector();
+            let other = sun.cross(side);
+            sun * angle.cos() + (side * yaw.cos() + other * yaw.sin()) * angle.sin()
+        };
         // Through f32, as the device sees it.
-        let direction = direction.as_vec3().as_dvec3();
-        if direction.dot(sun) < 0.3f64.to_radians().cos() {
+        let direction = direction.as_vec3().as_dvec3().normalize();
+        let from_horizon = (direction.y - horizon).abs();
+        if direction.dot(sun) < 0.29f64.to_radians().cos() && from_horizon > 1.9e-5 {
             rays.push(Ray::new(DVec3::Y * altitude_m, direction).expect("a ray"));
         }
     }
@@ -88,7 +104,7 @@ fn errors(still: &mut StillRenderer, altitude_m: f64, elevation_deg: f64) -> Vec
         truth.extend(other.join().expect("no panic"));
         truth
     });
-    let least = 1e-6 * light.sun_irradiance.min_element();
+    let least = DARK_PER_SR * light.sun_irradiance.min_element();
     let mut errors = Vec::new();
     for ((ray, truth), seen) in rays.iter().zip(&truth).zip(&figures.radiance) {
         for channel in 0..3 {
@@ -104,31 +120,27 @@ fn percentile(errors: &[(f64, DVec3)], share: f64) -> f64 {
 }
 
 #[test]
-fn the_sky_of_the_tables_is_that_of_the_integral() {
+fn the_sky_is_the_integral_to_a_hundredth_from_below_the_sea_to_orbit_and_from_noon_to_dusk() {
     let config = RenderConfig::new(std::env::temp_dir().join("skycell-noise"));
     let mut still = StillRenderer::new(config, scene(40.0), &[]).expect("a device");
-    let mut failed = false;
-    for altitude_m in [2.0, -100.0, 0.0, 5_000.0, 12_000.0, 100_000.0, 400_000.0] {
+    let mut failed = Vec::new();
+    for altitude_m in ALTITUDES_M {
         for elevation_deg in SUNS_DEG {
             let mut errors = errors(&mut still, altitude_m, elevation_deg);
             errors.sort_by(|a, b| a.0.total_cmp(&b.0));
             let [p50, p95, worst] =
                 [0.5, 0.95, 1.0].map(|share| 100.0 * percentile(&errors, share));
             let at = errors[errors.len() - 1].1;
-            println!(
-                "{altitude_m} m, sun {elevation_deg}°: p50 {p50:.3} % p95 {p95:.3} % worst {worst:.3} % at {at:.4}"
+            let line = format!(
+                "{altitude_m} m, sun {elevation_deg}°: p50 {p50:.3} % p95 {p95:.3} % worst {worst:.3} % at {at:.5}"
             );
-            if (0.0..10.0).contains(&altitude_m) {
-                failed |= (-2.0..=2.0).contains(&elevation_deg)
-                    && (p95 > P95_PERCENT || worst > WORST_PERCENT);
-                failed |= elevation_deg >= -4.0 && p50 > P50_PERCENT;
+            println!("{line}");
+            if worst > BAR_PERCENT {
+                failed.push(line);
             }
         }
     }
-    assert!(
-        !failed,
-        "p95 above {P95_PERCENT} %, an error above {WORST_PERCENT} % or a median above {P50_PERCENT} %"
-    );
+    assert!(failed.is_empty(), "above {BAR_PERCENT} %: {failed:#?}");
 }
 
 /// Aerosol that takes nothing out.
@@ -172,7 +184,7 @@ fn defects_of_the_air_are_noticed() {
         errors.sort_by(|a, b| a.0.total_cmp(&b.0));
         let p95 = percentile(&errors, 0.95);
         println!("defect {index}: p95 {:.1} %", 100.0 * p95);
-        assert!(p95 > 0.01 * P95_PERCENT, "defect {index}: {p95}");
+        assert!(p95 > 0.01 * BAR_PERCENT, "defect {index}: {p95}");
     }
 }
 

@@ -252,6 +252,16 @@ impl Scene {
                     value["sun"]["azimuth_deg"] = Value::from(azimuth);
                     value["sun"]["elevation_deg"] = Value::from(elevation);
                     value["sun"]["place_and_time"] = Value::Null;
+                    if let Some(moon) = &self.moon
+                        && moon.of_place_and_time()
+                    {
+                        let [azimuth, elevation, phase] =
+                            place.moon_azimuth_elevation_phase_deg(sky_s);
+                        value["moon"]["azimuth_deg"] = Value::from(azimuth);
+                        value["moon"]["elevation_deg"] = Value::from(elevation);
+                        value["moon"]["phase_angle_deg"] = Value::from(phase);
+                        value["moon"]["of_place_and_time"] = Value::from(false);
+                    }
                 }
                 let from = still_value(&transition.from().to_document());
                 value = blend::blend(&from, &value, share);
@@ -265,6 +275,9 @@ impl Scene {
             if let Some((transition, share)) = transition {
                 still.blend_winds(self, transition.from(), share);
             }
+        }
+        if let Some(moon) = &mut still.moon {
+            moon.stand_at(still.sun.place_and_time(), sky_s);
         }
         still.sun.stand_at(sky_s);
         still

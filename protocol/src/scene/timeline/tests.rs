@@ -148,6 +148,25 @@ fn the_sun_of_poles_and_of_two_centuries_is_within_its_ranges() {
 }
 
 #[test]
+fn the_moon_of_a_place_follows_it_and_other_moons_stay() {
+    let of = |follows: bool| {
+        let scene = scene(json!({
+            "moon": {"azimuth_deg": 10, "elevation_deg": 20, "phase_angle_deg": 30, "of_place_and_time": follows},
+            "sun": {"place_and_time": {"latitude_deg": 48.2, "longitude_deg": 16.4, "date": "2026-06-21T20:00:00Z"}}
+        }));
+        let places = [0.0, 3_600.0].map(|sky_s| {
+            let scene = scene.at_sky_s(sky_s);
+            scene.moon().expect("a moon").direction()
+        });
+        places[0].angle_between(places[1]).to_degrees()
+    };
+    assert_eq!(of(false), 0.0);
+    // Round the Earth in 24 h 50 min, at most.
+    let turned = of(true);
+    assert!((10.0..15.0).contains(&turned), "{turned}");
+}
+
+#[test]
 fn an_animated_number_goes_through_its_keyframes_and_leaves_the_document_as_it_is() {
     let scene = scene(json!({"animation": rising_coverage("none")}));
     for (sky_s, expected) in [

@@ -26,9 +26,9 @@ pub(super) struct Fineness {
 
 /// What the curves are made with.
 const OF_CURVES: Fineness = Fineness {
-    cosines: 10,
-    azimuths: 8,
-    intervals: 20,
+    cosines: 20,
+    azimuths: 6,
+    intervals: 32,
     sun_intervals: 10,
 };
 /// The sky on the ground, which has a bright place around the sun.

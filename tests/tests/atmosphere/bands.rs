@@ -1,0 +1,145 @@
+//! Whether the clear sky at dusk has bands, once it is eight bits.
+
+use image::RgbImage;
+use serde_json::json;
+use skycell_protocol::{Camera, Codec, FrameSize, Scene};
+use skycell_server::config::RenderConfig;
+use skycell_server::encode::encode_after;
+use skycell_server::frame_loop::{StillRenderer, StillSettings};
+use std::sync::Arc;
+
+const SIZE: [u32; 2] = [512, 288];
+/// Blocks of columns whose rows are averaged: wide enough to average the dither away, narrow enough that bands do not lean.
+const COLUMNS: u32 = 32;
+/// Rows to either side of those through which a parabola is laid: a band is an edge that it cannot follow.
+const REACH: i32 = 10;
+/// What of an 8-bit step the mean of a row may leave the curve around it by, root of the mean square. A staircase of whole
+/// steps leaves it by 1/√12 = 0.29. A step is 1 % of the luminance of a mid grey, and eyes tell 0.4 % apart at best.
+const BAND_STEPS: f64 = 0.12;
+
+/// Least-squares parabola through values at -REACH…REACH without the middle's own, at the middle.
+fn around(values: &[f64], at: usize) -> f64 {
+    // Of the symmetric window: a + c x², odd powers drop out in the middle.
+    let (mut n, mut x2, mut x4, mut y, mut yx2) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for offset in -REACH..=REACH {
+        if offset == 0 {
+            continue;
+        }
+        let square = f64::from(offset * offset);
+        let value = values[(at as i32 + offset) as usize];
+        n += 1.0;
+        x2 += square;
+        x4 += square * square;
+        y += value;
+        yx2 += value * square;
+    }
+    (y * x4 - yx2 * x2) / (n * x4 - x2 * x2)
+}
+
+/// Qualities of a JPEG and the first entry of its luma's table: 16 (ITU-T T.81, K.1) scaled by the IJG's rule. Of eight by
+/// eight pixels the mean is kept in steps of an eighth of it, whatever is dithered within.
+const FIRST_OF_LUMA: [(u8, f64); 2] = [(90, 3.0), (80, 6.0)];
+
+/// Weights of red, green and blue in what is compared.
+type Weights = [f64; 3];
+const COLOURS: [Weights; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+/// JPEG's luma (JFIF, after ITU-R BT.601), which eyes see the finest steps of.
+const LUMA: [Weights; 1] = [[0.299, 0.587, 0.114]];
+
+/// Root of the mean square by which row means of blocks of columns leave the curve around them, in 8-bit steps; the worst of
+/// the mixes of colours.
+fn bands_of(picture: &RgbImage, mixes: &[Weights]) -> f64 {
+    let (width, height) = picture.dimensions();
+    let mut worst: f64 = 0.0;
+    for mix in mixes {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for block in 0..width / COLUMNS {
+            let rows: Vec<f64> = (0..height)
+                .map(|y| {
+                    let row = (block * COLUMNS..(block + 1) * COLUMNS).map(|x| {
+                        let pixel = picture.get_pixel(x, y).0;
+                        (0..3).map(|i| mix[i] * f64::from(pixel[i])).sum::<f64>()
+                    });
+                    row.sum::<f64>() / f64::from(COLUMNS)
+                })
+                .collect();
+            for at in REACH as usize..rows.len() - REACH as usize {
+                sum += (rows[at] - around(&rows, at)).powi(2);
+                count += 1.0;
+            }
+        }
+        worst = worst.max(f64::sqrt(sum / count));
+    }
+    worst
+}
+
+/// As a viewer gets it.
+fn as_jpeg(picture: &RgbImage, quality: u8) -> RgbImage {
+    let rgba: Vec<u8> = picture
+        .pixels()
+        .flat_map(|p| [p.0[0], p.0[1], p.0[2], 255])
+        .collect();
+    let size = FrameSize::new(SIZE[0], SIZE[1]).expect("a size");
+    let mut bytes = Vec::new();
+    encode_after(&mut bytes, &rgba, size, Codec::Jpeg, quality).expect("a picture");
+    image::load_from_memory(&bytes)
+        .expect("a picture")
+        .to_rgb8()
+}
+
+/// No dither before the value is rounded.
+fn undithered(path: &str, source: &str) -> String {
+    if path == "composite/tone.wgsl" {
+        source.replace("noise / 255.0", "0.0 * noise")
+    } else {
+        source.to_owned()
+    }
+}
+
+fn scene(elevation_deg: f64, exposure_ev: f64) -> Arc<Scene> {
+    let document = json!({"version": 1, "layers": [], "atmosphere": {"model": "physical"},
+        "exposure_ev": exposure_ev, "sun": {"elevation_deg": elevation_deg, "azimuth_deg": 90}});
+    Arc::new(Scene::from_json(&document).expect("a scene"))
+}
+
+#[test]
+fn the_clear_sky_at_dusk_has_no_bands_in_eight_bits_and_in_a_jpeg_only_those_of_its_own_steps() {
+    let config = RenderConfig::new(std::env::temp_dir().join("skycell-noise"));
+    let mut still = StillRenderer::new(config, scene(40.0, 0.0), &[]).expect("a device");
+    let size = FrameSize::new(SIZE[0], SIZE[1]).expect("a size");
+    for (elevation_deg, exposure_ev) in [(2.0, 2.0), (-3.0, 6.0)] {
+        still
+            .set_scene(scene(elevation_deg, exposure_ev))
+            .expect("a scene");
+        // Away from the sun, where the sky changes least over a pixel.
+        let camera = Camera::new([0.0, 2.0, 0.0], 270.0, 24.0, 30.0).expect("a camera");
+        let mut look = |edit: Option<skycell_shaders::SourceEdit>| {
+            still.plant(edit).expect("a shader");
+            let picture = still
+                .render_with(camera, size, &StillSettings::default(), |_| {})
+                .expect("a picture");
+            let rgb = picture
+                .display
+                .chunks_exact(4)
+                .flat_map(|p| [p[0], p[1], p[2]]);
+            RgbImage::from_raw(SIZE[0], SIZE[1], rgb.collect()).expect("as many pixels")
+        };
+        let plain = look(Some(undithered));
+        let dithered = look(None);
+        dithered
+            .expect("x");
+        let (without, with) = (bands_of(&plain, &COLOURS), bands_of(&dithered, &COLOURS));
+        println!("sun {elevation_deg}°: {without:.3} of a step without dither, {with:.3} with it");
+        // The measure tells bands from none.
+        assert!(without > 2.0 * BAND_STEPS, "{without}");
+        assert!(with < BAND_STEPS, "{with}");
+        for (quality, first) in FIRST_OF_LUMA {
+            let found = bands_of(&as_jpeg(&dithered, quality), &LUMA);
+            let own = first / 8.0 / f64::sqrt(12.0);
+            println!(
+                "sun {elevation_deg}°: JPEG of quality {quality} {found:.3}, its own steps {own:.3}"
+            );
+            assert!(found < 1.15 * own, "quality {quality}: {found}, {own}");
+        }
+    }
+}
