@@ -60,11 +60,8 @@ pub struct GalleryArguments {
     #[arg(long)]
     pub without_pairs: bool,
     /// Size of the pictures that are compared. On two cores the reference takes from one minute to some ten for 96x54.
-    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = parsed_size, default_value = "192x108")]
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = parsed_size, default_value = "96x54")]
     pub pair_size: FrameSize,
-    /// Rays across and down a pixel of the reference.
-    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=16))]
-    pub reference_grid: u32,
     /// Only these pictures; all without.
     #[arg(long, value_delimiter = ',', value_name = "NAME,...")]
     pub only: Vec<String>,
