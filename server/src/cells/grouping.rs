@@ -26,6 +26,8 @@ const ARRIVE_M: f64 = 5.0;
 const GAP_SHARE: f64 = 0.15;
 /// Whoever enters a cell must still be near its members after this time, s.
 const AHEAD_S: f64 = 10.0;
+/// Nobody goes back to a cell before this time, s.
+const RETURN_S: f64 = 15.0;
 /// Faster than anybody travels, m/s: a jump.
 const SPEED_MAX_M_PER_S: f64 = 1_000.0;
 /// Slower counts as standing, m/s.
@@ -35,21 +37,18 @@ impl Cells {
     /// Brings cells to where their members are now; `passed_s` since the last time. Returns who is in another cell than
     /// before. Costs nothing while nobody moves and every reference has arrived.
     pub fn regroup(&mut self, passed_s: f64) -> Vec<CellChange> {
+        self.time_s += passed_s;
         if !self.restless {
             return Vec::new();
         }
         self.restless = false;
-        let before: Vec<(ViewerId, CellId)> = self
-            .places
-            .iter()
-            .map(|(viewer, place)| (*viewer, place.cell))
-            .collect();
         self.note_speeds(passed_s);
         self.fill_placed();
         self.follow(passed_s);
         self.split();
         self.merge();
-        let changes = before.into_iter().filter_map(|(viewer, from)| {
+        let moved = std::mem::take(&mut self.moved);
+        let changes = moved.into_iter().filter_map(|(viewer, from)| {
             let to = self.cell_of(viewer)?;
             (to != from).then_some(CellChange { viewer, from, to })
         });
@@ -293,9 +292,18 @@ impl Cells {
     fn transfer(&mut self, viewer: ViewerId, to: CellId) {
         if let Some(place) = self.places.get(&viewer).copied() {
             self.leave(viewer, place.cell);
-            if let Some(place) = self.places.get_mut(&viewer) {
-                place.cell = to;
-            }
+            self.moved.entry(viewer).or_insert(place.cell);
+            let mut left = place.left;
+            left.rotate_right(1);
+            left[0] = Some((place.cell, self.time_s));
+            self.places.insert(
+                viewer,
+                Place {
+                    cell: to,
+                    left,
+                    ..place
+                },
+            );
             self.enter(viewer, to);
         }
     }
@@ -316,12 +324,22 @@ impl Cells {
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
         near.into_iter()
             .map(|(_, id)| id)
-            .find(|id| self.has_room(*id, &[*place]))
+            .find(|id| self.has_room(*id, std::slice::from_ref(place)))
     }
 
     /// Whether some may enter a cell: near enough to its reference, now and soon, and all near enough to where the
     /// reference then goes.
     fn has_room(&self, cell: CellId, entering: &[Place]) -> bool {
+        let comes_back = |place: &Place| {
+            place
+                .left
+                .iter()
+                .flatten()
+                .any(|(left, left_s)| *left == cell && self.time_s - left_s < RETURN_S)
+        };
+        if entering.iter().any(comes_back) {
+            return false;
+        }
         let Some(cell) = self.cells.get(&cell) else {
             return false;
         };

@@ -54,6 +54,8 @@ struct Place {
     /// Smoothed; a jump is no motion.
     velocity_m_per_s: DVec3,
     cell: CellId,
+    /// The cells that it left last, and when, the last first.
+    left: [Option<(CellId, f64)>; 4],
 }
 
 /// All cells and who belongs where.
@@ -63,6 +65,10 @@ pub struct Cells {
     cells: BTreeMap<CellId, Cell>,
     places: BTreeMap<ViewerId, Place>,
     next_id: u32,
+    /// Time that groupings were told, s.
+    time_s: f64,
+    /// Who is in another cell than at the last grouping, and where that was.
+    moved: BTreeMap<ViewerId, CellId>,
     /// Somebody has moved, come or gone, or a reference is on its way.
     restless: bool,
 }
@@ -76,6 +82,8 @@ impl Cells {
             cells: BTreeMap::new(),
             places: BTreeMap::new(),
             next_id: 0,
+            time_s: 0.0,
+            moved: BTreeMap::new(),
             restless: false,
         };
         for cell in placed {
@@ -145,6 +153,7 @@ impl Cells {
             grouped_m: position_m,
             velocity_m_per_s: DVec3::ZERO,
             cell: CellId(0),
+            left: [None; 4],
         };
         place.cell = self
             .nearest_placed(position_m)
