@@ -121,29 +121,55 @@ impl SkyRenderer {
         }
     }
 
-    /// Puts a viewer where its camera is; cells without members end and free their memory.
+    /// Says where a viewer's camera is; returns its cell, which is on the device from now on.
     pub(super) fn place(&mut self, viewer: ViewerId, camera: &Camera) -> CellId {
-        let id = self
-            .cells
-            .assign(viewer, DVec3::from_array(camera.position_m()));
-        let reference_m = self
-            .cells
-            .get(id)
-            .map_or(DVec3::ZERO, |cell| cell.reference_m);
-        match self.active_cells.get_mut(&id) {
-            Some(cell) if cell.reference_m != reference_m => {
-                cell.reference_m = reference_m;
-                cell.coarse.clear();
-                cell.requests_changed = true;
+        let position_m = DVec3::from_array(camera.position_m());
+        let id = self.cells.place(viewer, position_m);
+        if !self.active_cells.contains_key(&id)
+            && let Some(cell) = self.cells.get(id)
+        {
+            let cell = self.new_active_cell(cell.reference_m);
+            self.active_cells.insert(id, cell);
+        }
+        id
+    }
+
+    /// Brings cells to where their viewers are; returns those who are in another cell than before.
+    pub(super) fn regroup(&mut self, passed_s: f64) -> Vec<ViewerId> {
+        let changes = self.cells.regroup(passed_s);
+        for change in &changes {
+            if let Some(viewer) = self.viewers.get_mut(&change.viewer) {
+                viewer.cell = change.to;
+                viewer.requests.clear();
+                viewer.screen_space = None;
             }
-            Some(_) => {}
-            None => {
-                let cell = self.new_active_cell(reference_m);
-                self.active_cells.insert(id, cell);
+            self.change_requests(change.from);
+            self.change_requests(change.to);
+        }
+        let references: Vec<(CellId, DVec3)> = self
+            .cells
+            .iter()
+            .filter(|(_, cell)| !cell.members.is_empty())
+            .map(|(id, cell)| (id, cell.reference_m))
+            .collect();
+        for (id, reference_m) in references {
+            match self.active_cells.get_mut(&id) {
+                Some(cell) if cell.reference_m != reference_m => {
+                    cell.reference_m = reference_m;
+                    cell.coarse.clear();
+                    cell.requests_changed = true;
+                }
+                Some(_) => {}
+                None => {
+                    let cell = self.new_active_cell(reference_m);
+                    self.active_cells.insert(id, cell);
+                }
             }
         }
-        self.end_empty_cells();
-        id
+        if !changes.is_empty() {
+            self.end_empty_cells();
+        }
+        changes.into_iter().map(|change| change.viewer).collect()
     }
 
     pub(super) fn end_empty_cells(&mut self) {

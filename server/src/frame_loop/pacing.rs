@@ -274,6 +274,11 @@ impl FrameLoop {
                 pace.change = Change::Seen;
             }
         }
+        for viewer in self.renderer.regroup(passed.as_secs_f64()) {
+            if let Some(pace) = self.paces.get_mut(&viewer) {
+                pace.change = Change::Seen;
+            }
+        }
         self.renderer.refresh_cells();
         let due = self.due_viewers(now);
         if !due.is_empty() {

@@ -13,7 +13,7 @@ use super::sun_volumes::{SunVolumes, asks_for_volume};
 use super::viewers_on_device::ActiveViewer;
 use crate::atmosphere::{AirKeeper, AirViews, table_keys};
 use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
-use crate::cells::Cells;
+use crate::cells::{CellLimit, Cells};
 use crate::clock;
 use crate::composite::{Inspections, Picture, composite_key, ground_key, with_shared_background};
 use crate::config::{FrameFilter, PlacedCell, RenderConfig};
@@ -125,7 +125,7 @@ impl SkyRenderer {
             timing: TimingRing::new(&gpu),
             caches: Caches::new(tiles_max, base.samples),
             sun: SunVolumes::default(),
-            cells: Cells::new(placed),
+            cells: Cells::new(placed, CellLimit::default()),
             light: sky_light(&scene, None, 0.0),
             air: AirKeeper::new(sun_angular_radius_rad()),
             air_views: AirViews::new(&gpu),

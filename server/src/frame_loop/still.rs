@@ -5,7 +5,7 @@ use super::renderer::SkyRenderer;
 use super::screen_space::{ScreenSpaceJob, WindowChoice};
 use super::still_settings::{LayerFigures, RayFigures, RayPicture};
 use super::still_settings::{StillFigures, StillPicture, StillSettings};
-use crate::cells::Cells;
+use crate::cells::{CellLimit, Cells};
 use crate::composite::{Picture, composite_key, ground_key, shown_of};
 use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{DeviceInventory, Gpu, GpuError, PipelineKey, TimedPass};
@@ -260,15 +260,16 @@ impl StillRenderer {
         let renderer = &mut self.renderer;
         renderer.leave(VIEWER);
         renderer.cells = if settings.reference_offset_m == [0.0; 3] {
-            Cells::new(&self.placed)
+            Cells::new(&self.placed, CellLimit::default())
         } else {
             let [x, y, z] = camera.position_m();
             let [dx, dy, dz] = settings.reference_offset_m;
-            Cells::new(&[PlacedCell {
+            let reference = PlacedCell {
                 name: "reference".into(),
                 center_m: [x + dx, y + dy, z + dz],
                 radius_m: 1.0e6,
-            }])
+            };
+            Cells::new(&[reference], CellLimit::default())
         };
         renderer.join(
             VIEWER,

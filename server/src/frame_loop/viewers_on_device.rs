@@ -169,20 +169,12 @@ impl SkyRenderer {
         let Some(viewer) = self.viewers.get_mut(&id) else {
             return;
         };
-        let moved = viewer.view.camera.position_m() != camera.position_m();
         viewer.view.camera = camera;
         viewer.input = input;
         viewer.requests.clear();
-        let (mut cell, view) = (viewer.cell, viewer.view);
+        let view = viewer.view;
         self.choose_renderer(id, &view);
-        if moved {
-            let old = cell;
-            cell = self.place(id, &camera);
-            if let Some(viewer) = self.viewers.get_mut(&id) {
-                viewer.cell = cell;
-            }
-            self.change_requests(old);
-        }
+        let cell = self.place(id, &camera);
         self.change_requests(cell);
     }
 

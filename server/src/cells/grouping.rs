@@ -1,0 +1,386 @@
+//! How cells form, follow, split, merge and vanish.
+//!
+//! Each threshold has a gap to its opposite, so that nobody goes back and forth: a viewer leaves a cell beyond its radius and
+//! enters another within [`ENTER_SHARE`] of it, and cells merge only if all members would be that near, where the reference
+//! is and where it will go, now and soon. Who only passes a cell does not enter it.
+
+use super::{Cell, CellChange, Cells, PLACED_HYSTERESIS, Place};
+use glam::DVec3;
+use skycell_protocol::{CellId, ViewerId};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// A viewer enters a cell, and cells merge, within this share of the radius around the reference.
+const ENTER_SHARE: f64 = 0.8;
+/// Around the mean of all members, where the reference goes, this share is enough.
+const SETTLED_SHARE: f64 = 0.9;
+/// Time in which a reference goes 63 % of its way to the mean of the members, s.
+const FOLLOW_TIME_S: f64 = 2.0;
+/// A reference is never farther from the mean than this share of the radius: it keeps up with whoever is fast.
+const LAG_SHARE: f64 = 0.1;
+/// A reference sets out when the mean is this far away, m sideways…
+const SET_OUT_M: f64 = 60.0;
+/// …and goes until it is this near: texels age by where rays start, so a crowd that mills about must not move it.
+const ARRIVE_M: f64 = 5.0;
+
+/// Where members fall apart with a gap of this share of the radius, all on one side leave together.
+const GAP_SHARE: f64 = 0.15;
+/// Whoever enters a cell must still be near its members after this time, s.
+const AHEAD_S: f64 = 10.0;
+/// Nobody goes back to a cell before this time, s.
+const RETURN_S: f64 = 15.0;
+/// Faster than anybody travels, m/s: a jump.
+const SPEED_MAX_M_PER_S: f64 = 1_000.0;
+/// Slower counts as standing, m/s.
+const SPEED_MIN_M_PER_S: f64 = 0.1;
+
+impl Cells {
+    /// Brings cells to where their members are now; `passed_s` since the last time. Returns who is in another cell than
+    /// before. Costs nothing while nobody moves and every reference has arrived.
+    pub fn regroup(&mut self, passed_s: f64) -> Vec<CellChange> {
+        self.time_s += passed_s;
+        if !self.restless {
+            return Vec::new();
+        }
+        self.restless = false;
+        self.note_speeds(passed_s);
+        self.fill_placed();
+        self.follow(passed_s);
+        self.split();
+        self.merge();
+        let moved = std::mem::take(&mut self.moved);
+        let changes = moved.into_iter().filter_map(|(viewer, from)| {
+            let to = self.cell_of(viewer)?;
+            (to != from).then_some(CellChange { viewer, from, to })
+        });
+        let changes: Vec<CellChange> = changes.collect();
+        // Who has changed may let others follow.
+        self.restless |= !changes.is_empty();
+        changes
+    }
+
+    /// How fast everybody moves.
+    fn note_speeds(&mut self, passed_s: f64) {
+        if passed_s <= 0.0 {
+            return;
+        }
+        let share = 1.0 - (-passed_s / FOLLOW_TIME_S).exp();
+        for place in self.places.values_mut() {
+            let velocity = (place.position_m - place.grouped_m) / passed_s;
+            let velocity = if velocity.length() <= SPEED_MAX_M_PER_S {
+                velocity
+            } else {
+                DVec3::ZERO
+            };
+            place.grouped_m = place.position_m;
+            place.velocity_m_per_s = place.velocity_m_per_s.lerp(velocity, share);
+            if place.velocity_m_per_s.length() < SPEED_MIN_M_PER_S {
+                place.velocity_m_per_s = DVec3::ZERO;
+            }
+            self.restless |= place.velocity_m_per_s != DVec3::ZERO;
+        }
+    }
+
+    /// Placed cells take those who stand in them and let those go who have left.
+    fn fill_placed(&mut self) {
+        if !self.cells.values().any(|cell| cell.placed) {
+            return;
+        }
+        let viewers: Vec<(ViewerId, Place)> = self
+            .places
+            .iter()
+            .map(|(viewer, place)| (*viewer, *place))
+            .collect();
+        for (viewer, place) in viewers {
+            let current = self.cells.get(&place.cell).filter(|cell| cell.placed);
+            let is_held = current.is_some_and(|cell| {
+                cell.reference_m.distance(place.position_m) <= cell.radius_m * PLACED_HYSTERESIS
+            });
+            if is_held {
+                continue;
+            }
+            let to = match self.nearest_placed(place.position_m) {
+                Some(placed) => placed,
+                None if current.is_none() => continue,
+                None => self
+                    .nearest_formed(&place)
+                    .unwrap_or_else(|| self.form(place.position_m)),
+            };
+            self.transfer(viewer, to);
+        }
+    }
+
+    /// References go to the means of their members.
+    fn follow(&mut self, passed_s: f64) {
+        let share = 1.0 - (-passed_s.max(0.0) / FOLLOW_TIME_S).exp();
+        let lag_max_m = LAG_SHARE * self.limit.radius_m();
+        let limit = self.limit;
+        let places = &self.places;
+        for cell in self.cells.values_mut().filter(|cell| !cell.placed) {
+            let Some(mean_m) = mean(&cell.members, places) else {
+                continue;
+            };
+            let away_m = limit.distance_m(mean_m, cell.reference_m);
+            let near_m = if cell.is_settled { SET_OUT_M } else { ARRIVE_M };
+            cell.is_settled = away_m <= near_m;
+            if cell.is_settled {
+                continue;
+            }
+            self.restless = true;
+            cell.reference_m = if cell.members.len() == 1 && away_m > limit.radius_m() {
+                // Somewhere else altogether.
+                mean_m
+            } else {
+                let least = 1.0 - lag_max_m / away_m;
+                cell.reference_m.lerp(mean_m, share.max(least))
+            };
+        }
+    }
+
+    /// Those who are too far from their reference leave. Where that is most of the members, the cell falls into two: the larger
+    /// part keeps it.
+    fn split(&mut self) {
+        let formed: Vec<CellId> = self.formed().collect();
+        let mut leaving: Vec<ViewerId> = Vec::new();
+        for id in formed {
+            let Some(cell) = self.cells.get(&id) else {
+                continue;
+            };
+            let limit = self.limit;
+            let is_far = |reference_m: DVec3, position_m: DVec3| {
+                limit.distance_m(reference_m, position_m) > limit.radius_m()
+            };
+            let places: Vec<(ViewerId, Place)> = cell
+                .members
+                .iter()
+                .filter_map(|viewer| Some((*viewer, *self.places.get(viewer)?)))
+                .collect();
+            if !places
+                .iter()
+                .any(|(_, place)| is_far(cell.reference_m, place.position_m))
+            {
+                continue;
+            }
+            let mut reference_m = cell.reference_m;
+            let mut kept = self.larger_part(&places, reference_m);
+            if kept.len() == places.len() {
+                // A crowd without a gap loses its edge, unless that is most of it.
+                kept.retain(|(_, place)| !is_far(reference_m, place.position_m));
+            }
+            if 2 * kept.len() < places.len() {
+                kept.clone_from(&places);
+            }
+            let is_left_behind = |m: &(ViewerId, Place)| is_far(reference_m, m.1.position_m);
+            if kept.iter().any(is_left_behind) {
+                // It was in between the parts.
+                let sum: DVec3 = kept.iter().map(|m| m.1.position_m).sum();
+                reference_m = sum / kept.len() as f64;
+            }
+            kept.retain(|m| !is_far(reference_m, m.1.position_m));
+            if let Some(cell) = self.cells.get_mut(&id) {
+                cell.reference_m = reference_m;
+            }
+            let kept: BTreeSet<ViewerId> = kept.iter().map(|m| m.0).collect();
+            leaving.extend(places.iter().map(|m| m.0).filter(|m| !kept.contains(m)));
+        }
+        for viewer in leaving {
+            let Some(place) = self.places.get(&viewer).copied() else {
+                continue;
+            };
+            let to = self
+                .nearest_formed(&place)
+                .unwrap_or_else(|| self.form(place.position_m));
+            self.transfer(viewer, to);
+        }
+    }
+
+    /// Those on one side of a gap: all members where there is none that is worth it, and of two equal parts that of the first
+    /// member. The gap is looked for between two members that will soon be far apart.
+    fn larger_part(
+        &self,
+        members: &[(ViewerId, Place)],
+        reference_m: DVec3,
+    ) -> Vec<(ViewerId, Place)> {
+        let velocity = members.iter().map(|m| m.1.velocity_m_per_s);
+        let velocity = velocity.sum::<DVec3>() / members.len().max(1) as f64;
+        let soon_m =
+            |place: &Place| place.position_m + (place.velocity_m_per_s - velocity) * AHEAD_S;
+        let farthest_from = |from_m: DVec3| {
+            members
+                .iter()
+                .map(|m| soon_m(&m.1))
+                .max_by(|a, b| {
+                    let [a, b] = [a, b].map(|p| self.limit.distance_m(from_m, *p));
+                    a.total_cmp(&b)
+                })
+                .unwrap_or(from_m)
+        };
+        let one_m = farthest_from(reference_m);
+        let other_m = farthest_from(one_m);
+        let axis = (other_m - one_m).normalize_or_zero();
+        let mut along: Vec<(f64, (ViewerId, Place))> = members
+            .iter()
+            .map(|m| ((soon_m(&m.1) - one_m).dot(axis), *m))
+            .collect();
+        along.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.0.cmp(&b.1.0)));
+        let gaps = along.windows(2).map(|two| two[1].0 - two[0].0);
+        let widest = gaps.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+        let Some((index, _)) = widest.filter(|gap| gap.1 >= GAP_SHARE * self.limit.radius_m())
+        else {
+            return members.to_vec();
+        };
+        let far = along.split_off(index + 1);
+        let first = members.first().map(|m| m.0);
+        let has_first = along.iter().any(|m| Some(m.1.0) == first);
+        let stays = if along.len() > far.len() || (along.len() == far.len() && has_first) {
+            along
+        } else {
+            far
+        };
+        stays.into_iter().map(|m| m.1).collect()
+    }
+
+    /// Cells that have come near each other become one: the smaller goes into the larger.
+    fn merge(&mut self) {
+        // From west to east, so that each is compared with those near it alone.
+        let mut formed: Vec<(f64, CellId)> = self
+            .formed()
+            .filter_map(|id| Some((self.cells.get(&id)?.reference_m.x, id)))
+            .collect();
+        formed.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let reach_m = ENTER_SHARE * self.limit.radius_m();
+        for (index, (x_m, one)) in formed.iter().enumerate() {
+            for (_, other) in formed[index + 1..]
+                .iter()
+                .take_while(|(other_x_m, _)| other_x_m - x_m <= reach_m)
+            {
+                let (Some(a), Some(b)) = (self.cells.get(one), self.cells.get(other)) else {
+                    continue;
+                };
+                if self.limit.distance_m(a.reference_m, b.reference_m) > reach_m {
+                    continue;
+                }
+                let larger_first = |a: (&Cell, CellId), b: (&Cell, CellId)| {
+                    (b.0.members.len(), a.1) < (a.0.members.len(), b.1)
+                };
+                let (into, from) = if larger_first((a, *one), (b, *other)) {
+                    (*one, *other)
+                } else {
+                    (*other, *one)
+                };
+                let moving = self.cells.get(&from).map(|cell| cell.members.clone());
+                let moving = moving.unwrap_or_default();
+                let places: Vec<Place> = moving
+                    .iter()
+                    .filter_map(|viewer| self.places.get(viewer).copied())
+                    .collect();
+                if self.has_room(into, &places) {
+                    for viewer in moving {
+                        self.transfer(viewer, into);
+                    }
+                }
+            }
+        }
+    }
+
+    fn formed(&self) -> impl Iterator<Item = CellId> {
+        self.cells
+            .iter()
+            .filter(|(_, cell)| !cell.placed)
+            .map(|(id, _)| *id)
+    }
+
+    fn transfer(&mut self, viewer: ViewerId, to: CellId) {
+        if let Some(place) = self.places.get(&viewer).copied() {
+            self.leave(viewer, place.cell);
+            self.moved.entry(viewer).or_insert(place.cell);
+            let mut left = place.left;
+            left.rotate_right(1);
+            left[0] = Some((place.cell, self.time_s));
+            self.places.insert(
+                viewer,
+                Place {
+                    cell: to,
+                    left,
+                    ..place
+                },
+            );
+            self.enter(viewer, to);
+        }
+    }
+
+    /// The nearest formed cell that a viewer may enter, but for the one where it is.
+    pub(super) fn nearest_formed(&self, place: &Place) -> Option<CellId> {
+        let reach_m = ENTER_SHARE * self.limit.radius_m();
+        let mut near: Vec<(f64, CellId)> = self
+            .cells
+            .iter()
+            .filter(|(id, cell)| !cell.placed && **id != place.cell)
+            .map(|(id, cell)| {
+                let away_m = self.limit.distance_m(cell.reference_m, place.position_m);
+                (away_m, *id)
+            })
+            .filter(|(away_m, _)| *away_m <= reach_m)
+            .collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        near.into_iter()
+            .map(|(_, id)| id)
+            .find(|id| self.has_room(*id, std::slice::from_ref(place)))
+    }
+
+    /// Whether some may enter a cell: near enough to its reference, now and soon, and all near enough to where the
+    /// reference then goes.
+    fn has_room(&self, cell: CellId, entering: &[Place]) -> bool {
+        let comes_back = |place: &Place| {
+            place
+                .left
+                .iter()
+                .flatten()
+                .any(|(left, left_s)| *left == cell && self.time_s - left_s < RETURN_S)
+        };
+        if entering.iter().any(comes_back) {
+            return false;
+        }
+        let Some(cell) = self.cells.get(&cell) else {
+            return false;
+        };
+        let radius_m = self.limit.radius_m();
+        let is_within = |from_m: DVec3, position_m: DVec3, share: f64| {
+            self.limit.distance_m(from_m, position_m) <= share * radius_m
+        };
+        let members: Vec<&Place> = cell
+            .members
+            .iter()
+            .filter_map(|viewer| self.places.get(viewer))
+            .collect();
+        let count = members.len().max(1) as f64;
+        let velocity = members.iter().map(|place| place.velocity_m_per_s);
+        let velocity = velocity.sum::<DVec3>() / count;
+        let stays_near = |place: &Place| {
+            let ahead_m = (place.velocity_m_per_s - velocity) * AHEAD_S;
+            [place.position_m, place.position_m + ahead_m]
+                .iter()
+                .all(|position_m| is_within(cell.reference_m, *position_m, ENTER_SHARE))
+        };
+        if !entering.iter().all(stays_near) {
+            return false;
+        }
+        let all: Vec<DVec3> = members
+            .into_iter()
+            .chain(entering)
+            .map(|place| place.position_m)
+            .collect();
+        let mean_m = all.iter().sum::<DVec3>() / all.len().max(1) as f64;
+        all.iter()
+            .all(|position_m| is_within(mean_m, *position_m, SETTLED_SHARE))
+    }
+}
+
+fn mean(members: &[ViewerId], places: &BTreeMap<ViewerId, Place>) -> Option<DVec3> {
+    let positions = members
+        .iter()
+        .filter_map(|viewer| Some(places.get(viewer)?.position_m));
+    let (count, sum) = positions.fold((0, DVec3::ZERO), |(count, sum), position_m| {
+        (count + 1, sum + position_m)
+    });
+    (count > 0).then(|| sum / f64::from(count))
+}

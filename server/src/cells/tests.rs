@@ -1,0 +1,265 @@
+use super::*;
+use std::collections::BTreeMap;
+
+/// A tick of the render thread, s.
+const TICK_S: f64 = 0.1;
+
+fn plaza() -> Cells {
+    let plaza = PlacedCell {
+        name: "plaza".into(),
+        center_m: [10_000.0, 2.0, 0.0],
+        radius_m: 500.0,
+    };
+    Cells::new(&[plaza], CellLimit::default())
+}
+
+fn empty() -> Cells {
+    Cells::new(&[], CellLimit::default())
+}
+
+fn at(x: f64) -> DVec3 {
+    DVec3::new(x, 2.0, 0.0)
+}
+
+fn ids(positions: usize) -> impl Iterator<Item = ViewerId> {
+    (1..=positions as u32).map(ViewerId)
+}
+
+/// Places all and lets them settle.
+fn settle(cells: &mut Cells, positions: &[f64]) {
+    for (id, x) in ids(positions.len()).zip(positions) {
+        cells.place(id, at(*x));
+    }
+    for _ in 0..300 {
+        cells.regroup(TICK_S);
+    }
+}
+
+/// Every viewer in exactly one cell, which holds it; no formed cell without members.
+fn check(cells: &Cells, who: &str) {
+    let mut homes: BTreeMap<ViewerId, u32> = BTreeMap::new();
+    for (id, cell) in cells.iter() {
+        assert!(cell.placed || !cell.members.is_empty(), "{who}");
+        for viewer in &cell.members {
+            *homes.entry(*viewer).or_default() += 1;
+            assert_eq!(cells.cell_of(*viewer), Some(id), "{who}");
+            let position_m = cells.places[viewer].position_m;
+            if !cell.placed {
+                let away_m = cells.limit.distance_m(position_m, cell.reference_m);
+                assert!(away_m <= cells.limit.radius_m(), "{who}: {away_m} m");
+            }
+        }
+    }
+    assert_eq!(homes.len(), cells.places.len(), "{who}");
+    assert!(homes.values().all(|count| *count == 1), "{who}");
+}
+
+#[test]
+fn a_placed_cell_takes_those_who_stand_in_it_and_keeps_its_reference() {
+    let mut cells = plaza();
+    settle(&mut cells, &[10_300.0, 9_800.0, 9_400.0]);
+    let [first, second, outside] = [1, 2, 3].map(|id| cells.cell_of(ViewerId(id)));
+    assert_eq!(first, second);
+    assert_ne!(first, outside);
+    let cell = cells.get(first.expect("placed")).expect("there");
+    assert_eq!(
+        (cell.name.as_str(), cell.reference_m),
+        ("plaza", at(10_000.0))
+    );
+}
+
+#[test]
+fn nobody_flips_back_and_forth_at_the_edge_of_a_placed_cell() {
+    let mut cells = plaza();
+    settle(&mut cells, &[9_600.0]);
+    let mut changes = 0;
+    for step in 0..100 {
+        let x = if step % 2 == 0 { 9_495.0 } else { 9_505.0 };
+        cells.place(ViewerId(1), at(x));
+        changes += cells.regroup(TICK_S).len();
+    }
+    assert_eq!(changes, 0);
+}
+
+#[test]
+fn viewers_near_each_other_share_a_cell_whose_reference_goes_to_their_mean() {
+    let mut cells = empty();
+    settle(&mut cells, &[0.0, 1_000.0, 2_000.0, 1.0e7]);
+    let [a, b, c, far] = [1, 2, 3, 4].map(|id| cells.cell_of(ViewerId(id)).expect("there"));
+    assert_eq!((a, b), (b, c));
+    assert_ne!(a, far);
+    let reference_m = cells.get(a).expect("there").reference_m;
+    assert!(reference_m.distance(at(1_000.0)) <= 5.0, "{reference_m}");
+}
+
+#[test]
+fn a_reference_does_not_jump_and_does_not_follow_those_who_mill_about() {
+    let mut cells = empty();
+    settle(&mut cells, &[0.0, 100.0]);
+    let id = cells.cell_of(ViewerId(1)).expect("there");
+    let reference = |cells: &Cells| cells.get(id).expect("there").reference_m;
+    let rest_m = reference(&cells);
+    for step in 0..100 {
+        cells.place(ViewerId(1), at(f64::from(step % 7) * 10.0 - 40.0));
+        cells.regroup(TICK_S);
+    }
+    assert_eq!(reference(&cells), rest_m);
+    // Half the crowd takes a car.
+    cells.place(ViewerId(2), at(1_500.0));
+    let mut before_m = rest_m;
+    for _ in 0..100 {
+        cells.regroup(TICK_S);
+        let step_m = reference(&cells).distance(before_m);
+        before_m = reference(&cells);
+        assert!(step_m < 450.0, "{step_m}");
+    }
+    assert!(before_m.distance(at(750.0)) < 35.0, "{before_m}");
+}
+
+#[test]
+fn a_cell_that_falls_apart_becomes_two_and_two_that_meet_become_one() {
+    let mut cells = empty();
+    let standing = [0.0, 100.0, 200.0, 300.0, 400.0];
+    settle(&mut cells, &standing);
+    assert_eq!(cells.iter().count(), 1);
+    let home = cells.cell_of(ViewerId(1));
+    let mut changes = Vec::new();
+    for step in 0..1_000 {
+        for (id, x) in ids(5).zip(standing) {
+            let away_m = f64::from(step) * 10.0;
+            let x = if id.0 > 3 { x + away_m } else { x - away_m };
+            cells.place(id, at(x));
+        }
+        changes.extend(cells.regroup(TICK_S));
+        check(&cells, "apart");
+    }
+    let mut moved: Vec<u32> = changes.iter().map(|change| change.viewer.0).collect();
+    moved.sort_unstable();
+    assert_eq!(moved, [4, 5], "the smaller part leaves, once");
+    assert_eq!(cells.cell_of(ViewerId(1)), home);
+    settle(&mut cells, &standing);
+    assert_eq!(cells.iter().count(), 1);
+    assert_eq!(cells.cell_of(ViewerId(5)), home);
+}
+
+#[test]
+fn a_group_that_moves_together_keeps_one_cell_which_moves_with_it() {
+    let mut cells = empty();
+    settle(&mut cells, &[0.0, 300.0, 600.0]);
+    let home = cells.cell_of(ViewerId(1));
+    for step in 0..600 {
+        for (id, x) in ids(3).zip([0.0, 300.0, 600.0]) {
+            cells.place(id, at(x + f64::from(step) * 25.0));
+        }
+        assert_eq!(cells.regroup(TICK_S), []);
+    }
+    check(&cells, "a convoy");
+    assert_eq!(cells.cell_of(ViewerId(3)), home);
+}
+
+#[test]
+fn a_viewer_alone_who_jumps_takes_its_cell_along() {
+    let mut cells = empty();
+    settle(&mut cells, &[0.0]);
+    let home = cells.cell_of(ViewerId(1));
+    cells.place(ViewerId(1), at(5.0e6));
+    assert_eq!(cells.regroup(TICK_S), []);
+    assert_eq!(cells.cell_of(ViewerId(1)), home);
+    check(&cells, "a jump");
+}
+
+#[test]
+fn the_last_one_to_leave_takes_a_formed_cell_away_and_leaves_a_placed_one() {
+    let mut cells = plaza();
+    settle(&mut cells, &[0.0, 10_000.0]);
+    cells.remove(ViewerId(1));
+    cells.remove(ViewerId(2));
+    assert_eq!(cells.iter().count(), 1);
+}
+
+#[test]
+fn up_and_down_counts_for_more_than_sideways() {
+    let limit = CellLimit::new(3_000.0, 1_000.0);
+    let away = |x, y| limit.distance_m(DVec3::ZERO, DVec3::new(x, y, 0.0));
+    assert!((away(3_000.0, 0.0) - 3_000.0).abs() < 1e-9);
+    assert!((away(0.0, 1_000.0) - 3_000.0).abs() < 1e-9);
+    let mut cells = Cells::new(&[], limit);
+    cells.place(ViewerId(1), at(0.0));
+    cells.place(ViewerId(2), at(0.0) + DVec3::Y * 900.0);
+    assert_eq!(cells.iter().count(), 2, "too high up to enter");
+}
+
+#[test]
+fn a_narrower_limit_is_kept_at_the_next_grouping() {
+    let mut cells = empty();
+    settle(&mut cells, &[0.0, 1_000.0, 2_000.0]);
+    assert_eq!(cells.iter().count(), 1);
+    cells.set_limit(CellLimit::new(300.0, 100.0));
+    cells.regroup(TICK_S);
+    check(&cells, "narrower");
+    assert_eq!(cells.iter().count(), 3);
+}
+
+/// What happened to a crowd.
+struct Told {
+    changes: Vec<(u32, CellChange)>,
+    cells_most: usize,
+    ticks: u32,
+}
+
+fn told(motion: CrowdMotion, count: usize, minutes: u32) -> Told {
+    let mut crowd = Crowd::new(count, motion, 7);
+    let mut cells = plaza();
+    let mut told = Told {
+        changes: Vec::new(),
+        cells_most: 0,
+        ticks: minutes * 600,
+    };
+    for tick in 0..told.ticks {
+        for (id, position_m) in ids(count).zip(crowd.positions_m()) {
+            cells.place(id, position_m);
+        }
+        let changes = cells.regroup(TICK_S);
+        told.changes
+            .extend(changes.into_iter().map(|change| (tick, change)));
+        told.cells_most = told.cells_most.max(cells.iter().count());
+        if tick % 10 == 0 {
+            check(&cells, motion.name());
+        }
+        crowd.advance(TICK_S);
+    }
+    told
+}
+
+#[test]
+fn no_cell_of_a_crowd_is_wider_than_its_limit_and_nobody_flips() {
+    for motion in CrowdMotion::ALL {
+        let told = told(motion, 400, 10);
+        // A flip: back in the cell that somebody left less than ten seconds ago.
+        let mut left: BTreeMap<(ViewerId, CellId), u32> = BTreeMap::new();
+        let mut flips = 0;
+        for (tick, change) in &told.changes {
+            let since = left.get(&(change.viewer, change.to));
+            if since.is_some_and(|left| tick - left < 100) {
+                flips += 1;
+                println!("{} at {tick}: {change:?}, left at {since:?}", motion.name());
+            }
+            left.insert((change.viewer, change.from), *tick);
+        }
+        println!(
+            "{}: {} cells at most, {} changes, {flips} flips",
+            motion.name(),
+            told.cells_most,
+            told.changes.len()
+        );
+        assert_eq!(flips, 0, "{}", motion.name());
+    }
+}
+
+#[test]
+fn the_same_crowd_has_the_same_cells() {
+    for motion in CrowdMotion::ALL {
+        let [one, other] = [0; 2].map(|_| told(motion, 100, 2));
+        assert_eq!(one.changes, other.changes);
+    }
+}
