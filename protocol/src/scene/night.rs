@@ -147,6 +147,7 @@ mod tests {
         let moon = |phase_angle_deg| Moon {
             azimuth_deg: 0.0,
             elevation_deg: 0.0,
+            of_place_and_time: false,
             phase_angle_deg,
         };
         assert!((1.0 / moon(0.0).share_of_sunlight() / 4.0e5 - 1.0).abs() < 0.02);

@@ -80,15 +80,14 @@ pub(crate) fn any(stage: &mut Stage) -> Line {
     line
 }
 
-/// Under the sun in the zenith air that takes nothing away and is opaque sends back what comes: over black ground its albedo,
-/// as far as single scattering by the nadir's radiance tells, is at least half and at most what white paper has, and a half
-/// more for the slant of its light.
+/// Under the sun in the zenith, air that takes nothing away sends back what two streams of light have it send back: over black
+/// ground the nadir's radiance is that of a white surface of this albedo, within the half that their evenness is wrong by.
 pub(crate) fn opaque(stage: &mut Stage) -> Line {
     let mut line = Line::new("opaque air");
     for scale_height_m in [200.0, 1_000.0, 8_000.0] {
         let air = json!({"aerosol_optical_depth": 0, "ozone_dobson": 0, "rayleigh_density": 20,
             "rayleigh_scale_height_m": scale_height_m});
-        // 20 times the Earth's air is opaque over 8 km; over less its blue is nearer to it than its red.
+        // Blue, of which most is scattered.
         let blue_depth = 20.0 * 1.240_62e-6 / 0.44f64.powi(4) * scale_height_m;
         stage.scene(&document(&air, 90.0, 6.36e6));
         let camera = eye([0.0, 400_000.0, 0.0], 0.0, -90.0, 2.0);
@@ -96,8 +95,7 @@ pub(crate) fn opaque(stage: &mut Stage) -> Line {
         line.picture(format!("scale height {scale_height_m} m"), &picture);
         let middle = picture.linear.len() / 8 * 4 + 2;
         let albedo = PI * f64::from(picture.linear[middle]);
-        // Two-stream, conservative, over black ground (K. N. Liou 2002, 6.5.3): τ (1 - g) √3/2 / (1 + τ (1 - g) √3/2) / ... of
-        // order τ / (τ + 4/3).
+        // Eddington's two streams over black ground, where nothing is lost and light scatters evenly: τ / (τ + 4/3).
         let two_stream = blue_depth / (blue_depth + 4.0 / 3.0);
         line.holds(
             format!("scale height {scale_height_m} m: {albedo} for {two_stream}"),
