@@ -64,7 +64,7 @@ const CASES: [(Run, usize); 34] = [
     (scattering::furnace, 18),
     (looks::night, 33),
     (looks::tone, 24),
-    (looks::views, 56),
+    (looks::views, 58),
     (documents::fields, 50),
     (documents::light, 28),
     (documents::timelines, 41),
