@@ -109,7 +109,7 @@ impl Cells {
         }
     }
 
-    /// References go to the means of their members.
+    /// References go to the means of their members, that of one alone in a step.
     fn follow(&mut self, passed_s: f64) {
         let share = 1.0 - (-passed_s.max(0.0) / FOLLOW_TIME_S).exp();
         let lag_max_m = LAG_SHARE * self.limit.radius_m();
@@ -126,13 +126,13 @@ impl Cells {
                 continue;
             }
             self.restless = true;
-            cell.reference_m = if cell.members.len() == 1 && away_m > limit.radius_m() {
-                // Somewhere else altogether.
-                mean_m
-            } else {
-                let least = 1.0 - lag_max_m / away_m;
-                cell.reference_m.lerp(mean_m, share.max(least))
-            };
+            if let [_] = cell.members[..] {
+                // Nobody else is disturbed.
+                cell.reference_m = mean_m;
+                continue;
+            }
+            let least = 1.0 - lag_max_m / away_m;
+            cell.reference_m = cell.reference_m.lerp(mean_m, share.max(least));
         }
     }
 

@@ -130,9 +130,9 @@ fn a_bad_value_is_told_with_its_source_and_what_is_allowed() {
             ["environment", "/listen is \"8080\"; allowed: ADDRESS:PORT"],
         ),
         (
-            "[[cells]]\nname='a'\ncenter_m=[0,-1,0]\nradius_m=5",
+            "[[cells]]\nname='a'\ncenter_m=[0,-101,0]\nradius_m=5",
             vec![],
-            ["file ", "/cells/0/center_m/1 is -1"],
+            ["file ", "/cells/0/center_m/1 is -101"],
         ),
         (
             "[[cells]]\nname='a'\ncenter_m=[0,0,0]\nradius_m=5\n[[cells]]\nname='a'\ncenter_m=[0,0,0]\nradius_m=5",

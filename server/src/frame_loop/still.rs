@@ -632,6 +632,7 @@ mod tests {
             });
             let input = skycell_protocol::InputSequence(1);
             still.renderer.set_camera(VIEWER, input, at(to_m));
+            still.renderer.regroup(0.1);
             still.march_all(false, |_| {}).expect("marched");
             let (jumped, _) = still.composites(size, false, &settings).expect("a picture");
             let [off, way] =

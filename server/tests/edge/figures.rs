@@ -19,6 +19,8 @@ async fn the_figures_tell_of_viewers_cells_and_frames() {
         client.frame().await;
         frames += 1;
     }
+    // Figures are published a moment after the frames that they count.
+    tokio::time::sleep(Duration::from_millis(300)).await;
     let viewers = world.get_json("/api/v1/viewers").await;
     let viewer = &viewers[0];
     assert_eq!((&viewer["id"], &viewer["cell"]), (&json!(1), &json!(0)));
