@@ -152,7 +152,7 @@ impl Crowd {
                 CrowdMotion::Migrate => walker.position_m += ahead * step_m,
                 CrowdMotion::Fly => {
                     walker.position_m += ahead * step_m;
-                    let climbs = (self.time_s / 300.0) as u64 % 2 == 0;
+                    let climbs = self.time_s % 600.0 < 300.0;
                     let goal_m = if climbs { FLIGHT_ALTITUDE_M } else { EYES_M };
                     let climb_m = CLIMB_M_PER_S * passed_s;
                     let up_m = (goal_m - walker.position_m.y).clamp(-climb_m, climb_m);
