@@ -209,6 +209,10 @@ impl SkyRenderer {
         }
         self.scene_revision = revision;
         self.take_light(cloud_altitude_m);
+        if old.has_carried() && !self.scene.has_carried() {
+            // Where the scene before said that its clouds are says nothing about these.
+            self.drifts.clear();
+        }
         self.place_clouds();
         self.inspections = None;
         let moved = old.planet().radius_m() != self.scene.planet().radius_m()
