@@ -19,9 +19,12 @@ pub struct Surroundings {
 }
 
 /// Samples of each way.
-pub const SURROUNDINGS_SAMPLES: u32 = 4;
+pub const SURROUNDINGS_SAMPLES: u32 = 8;
 /// How far they reach upright, m; sideways twice as far.
 pub const SURROUNDINGS_REACH_M: f64 = 1500.0;
+/// What a ray sees of a cloud within so much of where it first meets it is lit as one place, m; what lies farther back, as
+/// another. One mean place for both could stand in the clear air between two clouds.
+pub const FRONT_LENGTH_M: f64 = 1000.0;
 
 /// Diffuse sunlight at a place, in units of the phase, under an optical depth towards the sun, whose elevation has the sine
 /// `sun_rising`. `transport_share` is 1 − g.

@@ -383,19 +383,44 @@ impl World {
     /// Density as the march to the sun reads it: with the detail's mean. 0 outside the layer.
     #[must_use]
     pub fn smooth_density(&self, layer: &WorldLayer, position_m: DVec3) -> f64 {
+        self.density_without_detail(
+            layer,
+            position_m,
+            |weather, place, height_fraction, profile| {
+                self.noise().map_or(0.0, |noise| {
+                    weather.smooth_density(noise, place, height_fraction, profile)
+                })
+            },
+        )
+    }
+
+    /// Density on the mean of a place's surroundings: what light that has been scattered often passes through. 0 outside the
+    /// layer.
+    #[must_use]
+    pub fn surrounding_density(&self, layer: &WorldLayer, position_m: DVec3) -> f64 {
+        self.density_without_detail(layer, position_m, |weather, _, _, profile| {
+            weather.broad_density(profile)
+        })
+    }
+
+    /// 0 outside the layer; `of_weather` tells the density of a weather layer's place, height fraction and dimensional
+    /// profile.
+    fn density_without_detail(
+        &self,
+        layer: &WorldLayer,
+        position_m: DVec3,
+        of_weather: impl Fn(&Weather, FieldPlace, f64, f64) -> f64,
+    ) -> f64 {
         let place = self.field_place(layer, position_m);
         let height_fraction = layer.height_fraction(place.altitude_m);
         if !(0.0..=1.0).contains(&height_fraction) {
             return 0.0;
         }
         match &layer.medium {
-            Medium::Weather(weather) => {
-                let (Some(noise), Some(maps)) = (self.noise(), self.maps(layer)) else {
-                    return 0.0;
-                };
+            Medium::Weather(weather) => self.maps(layer).map_or(0.0, |maps| {
                 let profile = weather.dimensional_profile(maps, place, height_fraction);
-                weather.smooth_density(noise, place, height_fraction, profile)
-            }
+                of_weather(weather, place, height_fraction, profile)
+            }),
             _ => self.solid_density(layer, place),
         }
     }

@@ -260,9 +260,6 @@ fn octave_tables(light: &Light, octaves: u32) -> (u32, [[[f32; 4]; 4]; 3]) {
     (octaves, tables)
 }
 
-/// Samples of each way that measures what is around a ray's light.
-const SURROUNDINGS_SAMPLES: u32 = 4;
-
 /// Light that is scattered many times; nothing is measured for what the scene does not ask for.
 fn diffusion(light: &Light, octaves: u32, ambient: f32) -> layout::Diffusion {
     let strength = if light.scattering() == Scattering::Fitted && octaves > 1 {
@@ -281,7 +278,11 @@ fn diffusion(light: &Light, octaves: u32, ambient: f32) -> layout::Diffusion {
         sky_slope: FITTED.sky_slope as f32,
         sky_thinness: FITTED.sky_thinness as f32,
         sky_forward: FITTED.sky_forward as f32,
-        samples: if asked { SURROUNDINGS_SAMPLES } else { 0 },
+        samples: if asked {
+            skycell_reference::scattering::SURROUNDINGS_SAMPLES
+        } else {
+            0
+        },
         ..Default::default()
     }
 }

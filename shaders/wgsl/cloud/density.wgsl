@@ -218,6 +218,18 @@ fn smooth_density(layer: Layer, position: vec3f, altitude_m: f32, height_fractio
     return saturate((carved - layer.detail_strength * (1.0 - DETAIL_MEAN)) * layer.steepness);
 }
 
+/// Half the width of what most of the shape noise's values lie in.
+const SHAPE_SPREAD: f32 = 0.5;
+
+/// As smooth_density with the shape noise's mean as well, and the surface as wide as the noise would move it: density on
+/// the mean of a place's surroundings.
+fn broad_density(layer: Layer, profile: f32) -> f32 {
+    let carved = layer.shape_floor + 0.5 * layer.shape_range - (1.0 - profile);
+    let surface = carved - layer.detail_strength * (1.0 - DETAIL_MEAN);
+    let blur = layer.shape_range * SHAPE_SPREAD;
+    return select(0.0, saturate((surface + blur) / (1.0 / layer.steepness + 2.0 * blur)), profile > 0.0);
+}
+
 #ifdef DENSITY_CIRRUS
 /// Density in 0...1 of a thin sheet, the same at all of its altitudes: patches, in which fibres or a veil stand. The map holds
 /// patches, read over its span, and fibres and veil, read over the fibres' period and along their axis.

@@ -5,7 +5,7 @@
 #import skycell::phase::{one_minus_mu, phase_per_sr}
 #import skycell::scattering::{Diffusion, Surroundings, diffuse_share, sky_share}
 #ifdef DENSITY_WEATHER
-#import skycell::density::{map_texel, dimensional_profile, carved_density, smooth_density}
+#import skycell::density::{map_texel, dimensional_profile, carved_density, smooth_density, broad_density}
 #else
 #ifdef DENSITY_CIRRUS
 #import skycell::density::sheet_density
@@ -47,6 +47,9 @@ fn distance_seen_m(opacity_distance_m: f32, transmittance: f32) -> f32 {
 const DETAIL_ANGLE_RAD: f32 = 2.2e-3;
 /// How far what is around a cloud's light is looked for upright, m; sideways twice as far. The fitted constants go with it.
 const SURROUNDINGS_REACH_M: f32 = 1500.0;
+/// What a ray sees of a cloud within so much of where it first meets it is lit as one place, m; what lies farther back, as
+/// another. One mean place for both could stand in the clear air between two clouds.
+const FRONT_LENGTH_M: f32 = 1000.0;
 /// A limit that no sensible ray reaches (steps are at least step_min_m long).
 const PROBES_MAX: u32 = 4096u;
 
@@ -181,6 +184,20 @@ fn sun_density(planet_radius_m: f32, layer: Layer, position: vec3f) -> f32 {
     return select(0.0, density, inside);
 }
 
+/// Density around a place on the mean, 0...1: what light that has been scattered often passes through. 0 outside the layer.
+fn surrounding_density(planet_radius_m: f32, layer: Layer, position: vec3f) -> f32 {
+#ifdef DENSITY_WEATHER
+    let altitude = altitude_m(planet_radius_m, position);
+    let thickness_m = max(layer.top_altitude_m - layer.base_altitude_m, 1e-3);
+    let height_fraction = (altitude - layer.base_altitude_m) / thickness_m;
+    let inside = height_fraction >= 0.0 && height_fraction <= 1.0;
+    let profile = dimensional_profile(layer, map_texel(layer, position.xz), height_fraction);
+    return select(0.0, broad_density(layer, profile), inside);
+#else
+    return sun_density(planet_radius_m, layer, position);
+#endif
+}
+
 /// Optical depth towards the sun of the layers that a ray does not march through, where the volume knows them.
 fn other_layers_sun_depth(ray: RayScene, position: vec3f) -> f32 {
     var depth = 0.0;
@@ -273,7 +290,7 @@ fn surroundings(ray: RayScene, layer: Layer, position: vec3f, up: vec3f, samples
         let far = f32(i / 5u + 1u) / f32(samples);
         let middle_m = 0.5 * (near * near + far * far) * reach_m;
         let length_m = (far * far - near * near) * reach_m;
-        let depth = sun_density(ray.planet_radius_m, layer, position + direction * middle_m) * length_m * layer.extinction_per_m;
+        let depth = surrounding_density(ray.planet_radius_m, layer, position + direction * middle_m) * length_m * layer.extinction_per_m;
         depths += select(vec4f(0.0), vec4f(depth), vec4<bool>(way == 0u, way == 1u, way == 2u, way >= 3u));
     }
     return Surroundings(depths.x, depths.y, depths.z, depths.w);
@@ -339,7 +356,7 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         optical_depth_seen += optical_depth;
 #endif
     }
-    return ray_light(ray, layer, origin, direction, octave_sums, Weighed(shown, weighted_sun_depth, weighted_distance_m), transmittance, layer_distance_m);
+    return ray_light(ray, layer, origin, direction, octave_sums, Weighed(shown, weighted_sun_depth, weighted_distance_m), Weighed(0.0, 0.0, 0.0), transmittance, layer_distance_m);
 }
 #else
 /// Marches one ray through one layer. start_fraction in 0...1 shifts the samples by that share of a step.
@@ -392,10 +409,9 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
 #endif
 
     var transmittance = 1.0;
-    // What the lit samples weigh: the opacity, with all digits where it is small.
-    var shown = 0.0;
-    var weighted_sun_depth = 0.0;
-    var weighted_distance_m = 0.0;
+    var front = Weighed(0.0, 0.0, 0.0);
+    var back = Weighed(0.0, 0.0, 0.0);
+    var front_end_m = 1e30;
     var octave_sums: array<vec4f, #{OCTAVE_VECTORS}>;
     for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_sums[k] = vec4f(0.0); }
 
@@ -509,9 +525,11 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) {
             octave_sums[k] += weight * exp(-octave_attenuation[k] * sun_depth);
         }
-        shown += weight;
-        weighted_sun_depth += weight * sun_depth;
-        weighted_distance_m += weight * distance_m;
+        front_end_m = select(front_end_m, min(front_end_m, distance_m + FRONT_LENGTH_M), weight > 0.0);
+        let sums = weight * vec3f(1.0, sun_depth, distance_m);
+        let in_front = select(vec3f(0.0), sums, distance_m < front_end_m);
+        front = plus(front, in_front);
+        back = plus(back, sums - in_front);
         transmittance *= exp(-optical_depth);
 #ifdef RAY_LIST
         steps_taken = lit + 1u + probes;
@@ -526,7 +544,7 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         if transmittance < layer.transmittance_min { break; }
     }
 
-    return ray_light(ray, layer, origin, direction, octave_sums, Weighed(shown, weighted_sun_depth, weighted_distance_m), transmittance, layer_distance_m);
+    return ray_light(ray, layer, origin, direction, octave_sums, front, back, transmittance, layer_distance_m);
 }
 #endif
 
@@ -538,18 +556,29 @@ struct Weighed {
     distance_m: f32,
 }
 
-/// The light of a ray whose samples have been summed up.
-fn ray_light(ray: RayScene, layer: Layer, origin: vec3f, direction: vec3f, octave_sums: array<vec4f, #{OCTAVE_VECTORS}>, sums: Weighed, transmittance: f32, layer_distance_m: f32) -> LayerRadiance {
-    // Light that was scattered often hardly changes along what a ray sees of a cloud: once per ray, where its light comes
-    // from on the mean. Rays without cloud take no sample.
+fn plus(sums: Weighed, more: vec3f) -> Weighed {
+    return Weighed(sums.shown + more.x, sums.sun_depth + more.y, sums.distance_m + more.z);
+}
+
+/// The light of a ray whose samples have been summed up. Light that was scattered often hardly changes along what a ray
+/// sees of one cloud: it is found once for the front of what is seen and once for what lies behind, where their light comes
+/// from on the mean. Parts without cloud take no sample.
+fn ray_light(ray: RayScene, layer: Layer, origin: vec3f, direction: vec3f, octave_sums: array<vec4f, #{OCTAVE_VECTORS}>, front: Weighed, back: Weighed, transmittance: f32, layer_distance_m: f32) -> LayerRadiance {
+    let often = scattered_often(ray, layer, origin, direction, front) + scattered_often(ray, layer, origin, direction, back);
+    let distance_m = front.distance_m + back.distance_m;
+    return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, often.x, often.y, transmittance, distance_m + CLEAR_OPACITY * layer_distance_m);
+}
+
+/// x: diffuse sunlight of a part of a ray, in units of its phase; y: the sky's share of its ambient light.
+fn scattered_often(ray: RayScene, layer: Layer, origin: vec3f, direction: vec3f, sums: Weighed) -> vec2f {
     let shown = sums.shown;
     let per_shown = 1.0 / max(shown, 1e-30);
     let middle = origin + direction * (sums.distance_m * per_shown);
     let up = normalize(vec3f(middle.x, middle.y + ray.planet_radius_m, middle.z));
     let around = surroundings(ray, layer, middle, up, select(0u, ray.diffusion.samples, shown > 0.0));
-    let diffuse = shown * diffuse_share(ray.diffusion, layer.transport_share, sums.sun_depth * per_shown, dot(ray.sun_direction, up), around);
-    let sky = shown * sky_share(ray.diffusion, layer.transport_share, around, dot(direction, up));
-    return gathered(layer, one_minus_mu(direction, ray.sun_direction), octave_sums, diffuse, sky, transmittance, sums.distance_m + CLEAR_OPACITY * layer_distance_m);
+    let diffuse = diffuse_share(ray.diffusion, layer.transport_share, sums.sun_depth * per_shown, dot(ray.sun_direction, up), around);
+    let sky = sky_share(ray.diffusion, layer.transport_share, around, dot(direction, up));
+    return shown * vec2f(diffuse, sky);
 }
 
 /// Sums of a ray with albedo, phases and the factor of ambient light. angle: 1 - cos of that to the sun.

@@ -12,6 +12,8 @@ pub const COVERAGE_SOFTNESS: f64 = 0.55;
 pub const DETAIL_MEAN: f64 = 0.5;
 /// Half the width of what most of the detail's values lie in.
 pub const DETAIL_SPREAD: f64 = 0.3;
+/// Half the width of what most of the shape noise's values lie in.
+const SHAPE_SPREAD: f64 = 0.5;
 /// Share of the map's span that the skip map means at 1.
 pub const SKIP_RANGE_SHARE: f64 = 0.25;
 
@@ -214,5 +216,18 @@ impl Weather {
         }
         let carved = self.carved(noise, place, height_fraction, profile);
         ((carved - eroded) * self.form.steepness).clamp(0.0, 1.0)
+    }
+
+    /// Density in 0…1 on the mean of a place's surroundings: with the means of shape and detail, and a surface as wide as
+    /// the shape noise would move it.
+    #[must_use]
+    pub fn broad_density(&self, profile: f64) -> f64 {
+        if profile <= 0.0 {
+            return 0.0;
+        }
+        let carved = self.form.shape_floor + 0.5 * self.form.shape_range - (1.0 - profile);
+        let surface = carved - self.detail_strength * (1.0 - DETAIL_MEAN);
+        let blur = self.form.shape_range * SHAPE_SPREAD;
+        ((surface + blur) / (1.0 / self.form.steepness + 2.0 * blur)).clamp(0.0, 1.0)
     }
 }

@@ -1,12 +1,14 @@
 //! Layers over what lies behind them.
 
 use super::CLEAR_OPACITY;
-use super::layer::optical_depth_towards;
+use super::layer::depth_of_samples;
+use super::seen::SeenParts;
 use crate::phase::one_minus_mu;
 use crate::scattering::{
     SURROUNDINGS_REACH_M, SURROUNDINGS_SAMPLES, Surroundings, diffuse_share, sky_share,
 };
 use crate::sky::Haze;
+use crate::world::Medium;
 use crate::{LayerGathered, Ray, RayResult, StandardErrors, World, WorldLayer};
 use glam::DVec3;
 use skycell_protocol::scene::{FITTED, Scattering};
@@ -97,10 +99,7 @@ pub(super) struct Gathering<'a> {
     /// Strength times phase, 1/sr, from the second octave on.
     weight_per_sr: Vec<f64>,
     sums: Vec<f64>,
-    /// Sums over samples of what they show of their light, and of that times distance and optical depth to the sun.
-    shown: f64,
-    weighted_distance_m: f64,
-    weighted_sun_depth: f64,
+    seen: SeenParts,
 }
 
 impl<'a> Gathering<'a> {
@@ -140,9 +139,10 @@ impl<'a> Gathering<'a> {
             sums: vec![0.0; attenuation.len()],
             attenuation,
             weight_per_sr,
-            shown: 0.0,
-            weighted_distance_m: 0.0,
-            weighted_sun_depth: 0.0,
+            seen: match layer.medium {
+                Medium::Sheet(_) => SeenParts::of_sheet(),
+                _ => SeenParts::of_volume(),
+            },
         }
     }
 
@@ -151,9 +151,7 @@ impl<'a> Gathering<'a> {
         for (sum, attenuation) in self.sums.iter_mut().zip(&self.attenuation) {
             *sum += weight * (-attenuation * sun_depth).exp();
         }
-        self.shown += weight;
-        self.weighted_distance_m += weight * distance_m;
-        self.weighted_sun_depth += weight * sun_depth;
+        self.seen.add(weight, distance_m, sun_depth);
     }
 
     /// All of it. `around_place` tells what is around a place where a direction is up.
@@ -179,28 +177,26 @@ impl<'a> Gathering<'a> {
             0.0
         };
         let diffuse = light.scattering() == Scattering::Fitted && light.octaves() > 1;
-        if self.shown > 0.0 && (diffuse || shown_ambient > 0.0) {
+        if diffuse || shown_ambient > 0.0 {
             let transport_share = layer.phase.transport_share();
-            let middle_m = self.ray.at(self.weighted_distance_m / self.shown);
-            let up = self.world.globe().up(middle_m);
-            let around = around_place(middle_m, up);
-            if diffuse {
-                let sun_depth = self.weighted_sun_depth / self.shown;
-                octaves += self.shown
-                    * diffuse_share(
-                        &FITTED,
-                        transport_share,
-                        sun_depth,
-                        self.world.light().sun_direction.dot(up),
-                        &around,
-                    )
-                    * layer
-                        .phase
-                        .per_sr(FITTED.diffuse_eccentricity, self.one_minus_mu);
+            let sun_direction = self.world.light().sun_direction;
+            let diffuse_phase_per_sr = layer
+                .phase
+                .per_sr(FITTED.diffuse_eccentricity, self.one_minus_mu);
+            for seen in self.seen.each() {
+                let middle_m = self.ray.at(seen.distance_m());
+                let up = self.world.globe().up(middle_m);
+                let around = around_place(middle_m, up);
+                if diffuse {
+                    let rising = sun_direction.dot(up);
+                    let depth = seen.sun_depth();
+                    let share = diffuse_share(&FITTED, transport_share, depth, rising, &around);
+                    octaves += seen.shown * share * diffuse_phase_per_sr;
+                }
+                let rising = self.ray.direction.dot(up);
+                let share = sky_share(&FITTED, transport_share, &around, rising);
+                ambient += shown_ambient * seen.shown * share;
             }
-            let rising = self.ray.direction.dot(up);
-            ambient =
-                shown_ambient * self.shown * sky_share(&FITTED, transport_share, &around, rising);
         }
         LayerGathered {
             scene_index: layer.scene_index,
@@ -208,7 +204,7 @@ impl<'a> Gathering<'a> {
             octaves: layer.albedo * octaves,
             ambient: layer.albedo * ambient,
             transmittance,
-            opacity_distance_m: self.weighted_distance_m + CLEAR_OPACITY * layer_distance_m,
+            opacity_distance_m: self.seen.weighted_distance_m() + CLEAR_OPACITY * layer_distance_m,
             optical_depth,
         }
     }
@@ -225,7 +221,9 @@ pub(super) fn surroundings(
     let sun = world.light().sun_direction;
     let depth = |way: DVec3, reach: f64| {
         let reach_m = reach * SURROUNDINGS_REACH_M;
-        optical_depth_towards(world, layer, place_m, way, reach_m, SURROUNDINGS_SAMPLES)
+        depth_of_samples(layer, place_m, way, reach_m, SURROUNDINGS_SAMPLES, |at_m| {
+            world.surrounding_density(layer, at_m)
+        })
     };
     let across = sun.cross(up);
     let side = if across.length_squared() > 1e-6 {

@@ -1,6 +1,7 @@
 //! One ray through one layer with the shaders' discretisation.
 
 use super::blend::{Gathering, surroundings};
+use super::seen::SeenParts;
 use crate::error::checked;
 use crate::scattering::Surroundings;
 use crate::shell::Interval;
@@ -136,33 +137,31 @@ pub fn sun_optical_depth(
     position_m: DVec3,
     sun_steps: u32,
 ) -> f64 {
-    optical_depth_towards(
-        world,
+    depth_of_samples(
         layer,
         position_m,
         world.light().sun_direction,
         world.scene().light().sun_march_distance_m(),
         sun_steps,
+        |at_m| world.smooth_density(layer, at_m),
     )
 }
 
-/// The same along any direction, over a reach in m.
-#[must_use]
-pub fn optical_depth_towards(
-    world: &World,
+/// Optical depth from a point along a direction over a reach in m, by samples of a density as those towards the sun.
+pub(super) fn depth_of_samples(
     layer: &WorldLayer,
     position_m: DVec3,
     direction: DVec3,
     reach_m: f64,
     samples: u32,
+    density: impl Fn(DVec3) -> f64,
 ) -> f64 {
     let count = f64::from(samples);
     let length_m: f64 = (0..samples)
         .map(|i| {
             let near_m = (f64::from(i) / count).powi(2) * reach_m;
             let far_m = (f64::from(i + 1) / count).powi(2) * reach_m;
-            let sample = position_m + direction * (0.5 * (near_m + far_m));
-            world.smooth_density(layer, sample) * (far_m - near_m)
+            density(position_m + direction * (0.5 * (near_m + far_m))) * (far_m - near_m)
         })
         .sum();
     length_m * layer.extinction_per_m
@@ -247,21 +246,32 @@ pub fn gather_layer(
 pub struct LitRay {
     /// Share of its light that each lit sample shows, and optical depth from there to the sun.
     pub samples: Vec<[f64; 2]>,
+    /// The front of what is seen, and what lies behind.
+    pub parts: Vec<LitPart>,
+    /// The mean of the lit samples' heights in the layer, 0…1.
+    pub height_fraction: f64,
+}
+
+/// A part of a ray that is lit as one place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LitPart {
+    /// Share of the ray's light that it shows.
+    pub shown: f64,
+    /// Mean optical depth to the sun.
+    pub sun_depth: f64,
     /// What is around the place where its light comes from on the mean.
     pub around: Surroundings,
     /// Sine of the ray's elevation there.
     pub rising: f64,
     /// Sine of the sun's.
     pub sun_rising: f64,
-    /// The mean of the lit samples' heights in the layer, 0…1.
-    pub height_fraction: f64,
 }
 
 /// The lit samples of a ray in one layer, for fits of what is made of them.
 #[must_use]
 pub fn lit_ray(world: &World, layer: &WorldLayer, ray: &Ray, settings: &MarchSteps) -> LitRay {
     let mut samples = Vec::new();
-    let (mut shown, mut weighted_distance_m) = (0.0, 0.0);
+    let mut seen = SeenParts::of_volume();
     each_lit_sample(
         world,
         layer,
@@ -269,22 +279,29 @@ pub fn lit_ray(world: &World, layer: &WorldLayer, ray: &Ray, settings: &MarchSte
         settings,
         |weight, distance_m, sun_depth| {
             samples.push([weight, sun_depth]);
-            shown += weight;
-            weighted_distance_m += weight * distance_m;
+            seen.add(weight, distance_m, sun_depth);
         },
     );
+    let parts = seen.each().map(|part| {
+        let middle_m = ray.at(part.distance_m());
+        let up = world.globe().up(middle_m);
+        LitPart {
+            shown: part.shown,
+            sun_depth: part.sun_depth(),
+            around: surroundings(world, layer, middle_m, up),
+            rising: ray.direction.dot(up),
+            sun_rising: world.light().sun_direction.dot(up),
+        }
+    });
+    let shown = seen.shown();
     let middle_m = ray.at(if shown > 0.0 {
-        weighted_distance_m / shown
+        seen.weighted_distance_m() / shown
     } else {
         0.0
     });
-    let up = world.globe().up(middle_m);
-    let around = surroundings(world, layer, middle_m, up);
     LitRay {
         samples,
-        around,
-        rising: ray.direction.dot(up),
-        sun_rising: world.light().sun_direction.dot(up),
+        parts: parts.collect(),
         height_fraction: layer.height_fraction(world.globe().altitude_m(middle_m)),
     }
 }

@@ -3,12 +3,12 @@
 mod blend;
 mod converged;
 mod layer;
+mod seen;
 mod sheet;
 
 pub use converged::{ConvergeLimit, Converged, converged_ray};
 pub use layer::{
-    LitRay, MarchSteps, detail_weight, gather_layer, lit_ray, optical_depth_towards,
-    sun_optical_depth,
+    LitPart, LitRay, MarchSteps, detail_weight, gather_layer, lit_ray, sun_optical_depth,
 };
 pub use sheet::sheet_sun_depth;
 

@@ -80,25 +80,21 @@ impl Look {
             Model::Fitted(fitted) => {
                 let transport_share = self.phase.transport_share();
                 let attenuation = (fitted.forward_attenuation * transport_share).min(1.0);
-                let (shown, weighted) = self.ray.samples.iter().fold(
-                    (0.0, 0.0),
-                    |(shown, weighted), [weight, depth]| {
-                        (shown + weight, weighted + weight * depth)
-                    },
-                );
-                let sun_depth = weighted / f64::max(shown, f64::MIN_POSITIVE);
-                let diffuse = diffuse_share(
-                    &fitted,
-                    transport_share,
-                    sun_depth,
-                    self.ray.sun_rising,
-                    &self.ray.around,
-                );
+                let diffuse: f64 = self
+                    .ray
+                    .parts
+                    .iter()
+                    .map(|part| {
+                        let (depth, rising) = (part.sun_depth, part.sun_rising);
+                        part.shown
+                            * diffuse_share(&fitted, transport_share, depth, rising, &part.around)
+                    })
+                    .sum();
                 single
                     + fitted.forward_strength
                         * phase(fitted.forward_eccentricity)
                         * gathered(attenuation)
-                    + shown * diffuse * phase(fitted.diffuse_eccentricity)
+                    + diffuse * phase(fitted.diffuse_eccentricity)
             }
         }
     }
@@ -106,13 +102,12 @@ impl Look {
     /// Share of the sky that the model scatters towards the eye.
     #[must_use]
     pub fn modelled_sky(&self, fitted: &FittedScattering) -> f64 {
-        let share = sky_share(
-            fitted,
-            self.phase.transport_share(),
-            &self.ray.around,
-            self.ray.rising,
-        );
-        self.opacity() * share
+        let transport_share = self.phase.transport_share();
+        self.ray
+            .parts
+            .iter()
+            .map(|part| part.shown * sky_share(fitted, transport_share, &part.around, part.rising))
+            .sum()
     }
 
     /// The same by the formula that was tuned by eye before: by height in the layer, half in solid cloud.
