@@ -552,6 +552,12 @@ gpu_struct! {
         marched_height: u32,
         /// 1: samples stand beside the middles of pixels and steps; 0: in the middle.
         jitter: f32,
+        /// Binary logarithm of the side of the squares that are dithered as one, pixels.
+        dither_shift: u32,
+        /// Fills to 8 bytes.
+        pad_first: u32,
+        /// Fills to 16 bytes.
+        pad_view: [u32; 2],
     }
 }
 

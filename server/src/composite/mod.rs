@@ -10,7 +10,7 @@ use crate::gpu::{Gpu, PipelineKey, Pipelines, TimedPass, TimingRing};
 use crate::march::{CellFrame, LayerBlend};
 use glam::DVec3;
 use skycell_protocol::scene::ToneCurve;
-use skycell_protocol::{Camera, FrameSize, Scene};
+use skycell_protocol::{Camera, Codec, FrameSize, Scene};
 use skycell_shaders::{Density, Features, Kernel, Tone, layout};
 
 /// A composite in which two by two pixels share what is behind the clouds: an error of half a pixel's worth of clear sky,
@@ -75,6 +75,16 @@ pub fn view_frustum(camera: &Camera, size: FrameSize, frame: &CellFrame) -> View
         right: camera.right() * half_height * width / height,
         up: camera.up() * half_height,
         pixel_angle_rad: 2.0 * half_height / height,
+    }
+}
+
+/// Binary logarithm of the side of the squares that are dithered as one, pixels. A JPEG keeps of 8 × 8 pixels little but the
+/// mean where the sky is smooth: noise from pixel to pixel would be quantised away, and the bands would be back.
+#[must_use]
+pub fn dither_shift(codec: Codec) -> u32 {
+    match codec {
+        Codec::Png => 0,
+        Codec::Jpeg => 3,
     }
 }
 

@@ -14,7 +14,7 @@ use crate::march::{
     CellFrame, LISTED_VALUES, LayerBlend, MarchedPixels, layer_features, pixels_key,
 };
 use glam::DVec3;
-use skycell_protocol::{Camera, Codec, FrameSize, RendererKind, Scene, ViewerId};
+use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, ViewerId};
 use skycell_shaders::{Features, Shown, layout};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -276,7 +276,7 @@ impl StillRenderer {
             ViewRequest {
                 size,
                 fps: 1.0,
-                codec: Codec::Png,
+                codec: settings.codec,
                 jpeg_quality: 100,
                 camera,
                 renderer: settings.renderer,

@@ -4,7 +4,7 @@ use crate::config::FrameFilter;
 use crate::march::{MarchSettings, WindowPlan};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use skycell_protocol::{FrameSize, RendererKind, Show};
+use skycell_protocol::{Codec, FrameSize, RendererKind, Show};
 
 /// How a single picture is made.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,6 +34,9 @@ pub struct StillSettings {
     pub reference_offset_m: [f64; 3],
     /// What the picture shows.
     pub show: Show,
+    /// How the picture is going to be compressed, which decides how it is dithered.
+    #[serde(skip)]
+    pub codec: Codec,
 }
 
 impl Default for StillSettings {
@@ -51,6 +54,7 @@ impl Default for StillSettings {
             filter: FrameFilter::CatmullRom,
             reference_offset_m: [0.0; 3],
             show: Show::Picture,
+            codec: Codec::Png,
         }
     }
 }

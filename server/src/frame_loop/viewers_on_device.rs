@@ -5,7 +5,7 @@ use super::qualities::ViewerQuality;
 use super::renderer::SkyRenderer;
 use super::screen_space::ScreenSpaceJob;
 use crate::cache::{TEXELS_PER_TILE, TileRequest};
-use crate::composite::{Picture, view_frustum, view_uniform};
+use crate::composite::{Picture, dither_shift, view_frustum, view_uniform};
 use crate::gpu::ReadbackRing;
 use skycell_protocol::{Camera, CellId, InputSequence, RendererKind, ViewerId};
 use skycell_shaders::layout;
@@ -210,6 +210,7 @@ impl SkyRenderer {
         let cell = self.active_cells.get(&viewer.cell)?;
         let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
         let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
+        view.dither_shift = dither_shift(viewer.view.codec);
         for (layer, requests) in viewer.requests.iter().enumerate().take(view.tables.len()) {
             let finest = requests.iter().map(|r| r.key.level).max().unwrap_or(0);
             view.tables[layer] = cell.buffers.table(layer, finest);

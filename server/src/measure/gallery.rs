@@ -20,7 +20,7 @@ use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use skycell_protocol::{Camera, FrameSize, QualityPreset, RendererKind, Scene};
+use skycell_protocol::{Camera, Codec, FrameSize, QualityPreset, RendererKind, Scene};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -240,6 +240,7 @@ fn picture_settings(arguments: &GalleryArguments) -> StillSettings {
             ..MarchSettings::default()
         },
         samples: arguments.picture_samples,
+        codec: Codec::Jpeg,
         ..StillSettings::default()
     }
 }

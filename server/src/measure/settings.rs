@@ -134,6 +134,7 @@ impl PointSettings {
             },
             samples: self.samples,
             show: skycell_protocol::Show::Picture,
+            codec: skycell_protocol::Codec::Png,
             window: self.window(),
             frames: self.samples,
             resting_frames: 1,

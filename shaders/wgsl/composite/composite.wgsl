@@ -290,7 +290,7 @@ fn composite(@builtin(global_invocation_id) id: vec3u) {
 #ifdef SHOW_VALUES
         let bytes = pack4x8unorm(vec4f(colour_of_values(radiance), 1.0));
 #else
-        let bytes = dithered_bytes(encoded(balanced(radiance) * world.exposure), pixel);
+        let bytes = dithered_bytes(encoded(balanced(radiance) * world.exposure), pixel >> vec2u(eye.dither_shift));
 #endif
         if inside { picture[at] = bytes; }
 #endif

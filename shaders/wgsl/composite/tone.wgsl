@@ -87,13 +87,13 @@ fn encoded(radiance: vec3f) -> vec3f {
 }
 
 /// Moves an encoded value by a fixed pattern of half an 8-bit step to either side before it is rounded, so that a smooth
-/// sky has no bands and a resting picture does not flicker.
-fn dithered(encoded: vec3f, pixel: vec2u) -> vec3f {
-    let noise = fract(52.9829189 * fract(dot(vec2f(pixel), vec2f(0.06711056, 0.00583715)))) - 0.5;
+/// sky has no bands and a resting picture does not flicker. place: the pixel, or the square of pixels that is moved as one.
+fn dithered(encoded: vec3f, place: vec2u) -> vec3f {
+    let noise = fract(52.9829189 * fract(dot(vec2f(place), vec2f(0.06711056, 0.00583715)))) - 0.5;
     return saturate(encoded + noise / 255.0);
 }
 
 /// As above, packed.
-fn dithered_bytes(encoded: vec3f, pixel: vec2u) -> u32 {
-    return pack4x8unorm(vec4f(dithered(encoded, pixel), 1.0));
+fn dithered_bytes(encoded: vec3f, place: vec2u) -> u32 {
+    return pack4x8unorm(vec4f(dithered(encoded, place), 1.0));
 }

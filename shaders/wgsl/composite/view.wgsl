@@ -36,6 +36,10 @@ struct View {
     marched_height: u32,
     /// 1: samples stand beside the middles of pixels and steps; 0: in the middle.
     jitter: f32,
+    /// Squares of 2^dither_shift pixels are dithered as one.
+    dither_shift: u32,
+    pad_first: u32,
+    pad_view: vec2u,
 }
 
 /// A ray of a picture that is no pinhole camera's, in the frame of its cell.
