@@ -24,8 +24,10 @@ const STEP_DEPTH: f64 = 0.8;
 const STEP_GROWTH: f64 = 0.25;
 /// Largest change of altitude in a step, in scale heights.
 const STEP_HEIGHTS: f64 = 1.0;
-/// Longest step, in radii of the planet.
+/// Longest step, in radii of the planet; around a planet that is small for its air, whose paths are many radii long, a share
+/// of what is left of the path, which bounds their number.
 const STEP_RADII: f64 = 0.02;
+const STEP_SHARE: f64 = 0.02;
 /// Steps of a path at most.
 const STEPS_MAX: usize = 256;
 /// Optical depth behind which nothing is seen.
@@ -219,7 +221,7 @@ impl Medium {
     /// [`STEP_HEIGHTS`] scale heights.
     pub(super) fn walk(&self, altitude_m: f64, mu: f64, [start, _, end]: [f64; 3]) -> Vec<Stand> {
         let r = self.radius_m + altitude_m;
-        let reach_m = |distance_m: f64, depth: DVec3| {
+        let reach_m = |distance_m: f64, depth: DVec3, rest_m: f64| {
             let (there_m, radius) = self.altitude_along(altitude_m, mu, distance_m);
             let densities = self.densities(there_m);
             let [air, aerosol, _] = densities;
@@ -241,14 +243,14 @@ impl Medium {
                 / self.extinction_per_m(densities).max(DVec3::splat(1e-30));
             climb
                 .min(allowed.min_element())
-                .min(STEP_RADII * self.radius_m)
+                .min((STEP_RADII * self.radius_m).max(STEP_SHARE * rest_m))
         };
         let mut stands = Vec::new();
         let (mut at, mut depth) = (start, DVec3::ZERO);
         while at < end && stands.len() < 2 * STEPS_MAX && depth.min_element() < OPAQUE {
             let rest = end - at;
-            let far = reach_m(at, depth).min(rest);
-            let near = reach_m(at + far, depth).clamp(0.125 * far, far);
+            let far = reach_m(at, depth, rest).min(rest);
+            let near = reach_m(at + far, depth, rest).clamp(0.125 * far, far);
             let length = if stands.len() + 2 == 2 * STEPS_MAX {
                 rest
             } else {

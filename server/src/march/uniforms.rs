@@ -544,7 +544,12 @@ fn layer_uniform(
     };
     if let Some([min_m, max_m]) = bounds_m(layer.density()) {
         let [x, z] = frame.origin_m();
-        let in_frame = min_m + DVec3::new(drift.x - x, 0.0, drift.z - z);
+        // A layer that fills everything is everywhere the same: neither wind nor the cell's place carries it away.
+        let moved = match layer.density() {
+            DensityModel::Homogeneous(Shape::Layer) => DVec3::ZERO,
+            _ => DVec3::new(drift.x - x, 0.0, drift.z - z),
+        };
+        let in_frame = min_m + moved;
         uniform.bounds_min = f32s(in_frame);
         uniform.bounds_per_m = f32s(1.0 / (max_m - min_m));
         uniform.is_ball = u32::from(matches!(
