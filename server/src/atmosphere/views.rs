@@ -10,7 +10,7 @@ use std::sync::Arc;
 /// Size of the sky's table, as in `sky/air.wgsl`.
 const VIEW_SIZE: [u32; 2] = [96, 192];
 /// Size of the haze's table: azimuths, elevations, distances.
-const HAZE_SIZE: [u32; 3] = [16, 56, 31];
+const HAZE_SIZE: [u32; 3] = [32, 56, 31];
 /// Distances of the haze's extinction.
 const HAZE_EXTINCTION_SLICES: u32 = 61;
 /// Altitudes whose tables are kept.
@@ -343,7 +343,7 @@ impl View {
         });
         let groups = [
             [VIEW_SIZE[0].div_ceil(16), VIEW_SIZE[1].div_ceil(4)],
-            [1, HAZE_SIZE[1].div_ceil(4)],
+            [HAZE_SIZE[0].div_ceil(16), HAZE_SIZE[1].div_ceil(4)],
         ];
         for ((key, out), [x, y]) in table_keys().into_iter().zip(&self.out_groups).zip(groups) {
             let Some(pipeline) = pipelines.get(key) else {

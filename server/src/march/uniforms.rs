@@ -655,7 +655,13 @@ mod tests {
             let scene = Scene::from_json(&document).expect("valid");
             let radius_rad = super::super::sky::sun_angular_radius_rad();
             let air = BaseTables::new(Medium::of(&scene).expect("air"), radius_rad);
-            for heights_m in [[0.0, 500.0], [1100.0, 13_000.0], [1500.0, 4000.0], [2000.0, 2000.5], [8000.0, 8500.0]] {
+            for heights_m in [
+                [0.0, 500.0],
+                [1100.0, 13_000.0],
+                [1500.0, 4000.0],
+                [2000.0, 2000.5],
+                [8000.0, 8500.0],
+            ] {
                 let [base_m, top_m]: [f64; 2] = heights_m;
                 for elevation_deg in [0.5, 2.0, 5.0, 10.0, 17.0, 40.0, 90.0f64] {
                     let mu = elevation_deg.to_radians().sin();
@@ -663,12 +669,13 @@ mod tests {
                     let top = air.sun_transmittance(top_m, mu);
                     for share in (0..=40).map(|i| f64::from(i) / 40.0) {
                         let at_m = base_m + share * (top_m - base_m);
-                        let visible = air.sun_transmittance(at_m, mu) / exp(-air.sun_depth(at_m, mu));
-                        let off = visible * exp(-found.depth(share)) - air.sun_transmittance(at_m, mu);
+                        let visible =
+                            air.sun_transmittance(at_m, mu) / exp(-air.sun_depth(at_m, mu));
+                        let off =
+                            visible * exp(-found.depth(share)) - air.sun_transmittance(at_m, mu);
                         let off = (off / top).abs().max_element();
                         let low = usize::from(elevation_deg < 5.0);
                         worst[low] = worst[low].max(off);
-                        if off > 0.01 { println!("{aerosol} {scale_m} {heights_m:?} {elevation_deg} {share}: {off}"); }
                     }
                 }
             }

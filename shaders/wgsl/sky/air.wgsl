@@ -40,8 +40,8 @@ const VIEW_COLUMNS: u32 = 96u;
 const VIEW_SKY_ROWS: u32 = 120u;
 const VIEW_GROUND_ROWS: u32 = 72u;
 /// Texels of the haze's tables, whose slices are distances. Mean extinction bends more than the source does, and has no
-/// columns: it has twice as many.
-const HAZE_COLUMNS: u32 = 16u;
+/// columns: it has more of them.
+const HAZE_COLUMNS: u32 = 32u;
 const HAZE_SKY_ROWS: u32 = 32u;
 const HAZE_GROUND_ROWS: u32 = 24u;
 const HAZE_SLICES: u32 = 31u;

@@ -17,26 +17,34 @@ pub(crate) fn anywhere(stage: &mut Stage) -> Line {
     let trace = json!({"aerosol_optical_depth": 1e-9, "rayleigh_density": 1e-9, "ozone_dobson": 1e-9,
         "aerosol_asymmetry": -0.95, "aerosol_single_scattering_albedo": 0, "aerosol_scale_height_m": 200,
         "rayleigh_scale_height_m": 2e4});
-    for (what, radius_m, air) in [
-        ("air of the Earth around a tiny planet", 1e4, json!({})),
-        ("as much air as can be around a tiny planet", 1e4, most.clone()),
-        ("low air around a tiny planet", 1e4, low.clone()),
-        ("traces of air around a tiny planet", 1e4, trace),
-        ("no air around a vast planet", 1e8, none),
-        ("as much air as can be around a vast planet", 1e8, most),
-        ("low air around a vast planet", 1e8, low),
+    for (what, radius_m, air, suns_deg) in [
+        (
+            "as much air as can be around a tiny planet",
+            1e4,
+            most.clone(),
+            &[40.0, -2.0] as &[f64],
+        ),
+        ("low air around a tiny planet", 1e4, low.clone(), &[5.0]),
+        ("traces of air around a tiny planet", 1e4, trace, &[40.0]),
+        ("no air around a vast planet", 1e8, none, &[40.0]),
+        (
+            "as much air as can be around a vast planet",
+            1e8,
+            most,
+            &[5.0],
+        ),
+        ("low air around a vast planet", 1e8, low, &[40.0]),
     ] {
-        for elevation_deg in [40.0, -2.0] {
+        for sun_deg in suns_deg {
             let mut scene = weather(json!({"planet": {"radius_m": radius_m},
-                "sun": {"elevation_deg": elevation_deg}, "atmosphere": {"model": "physical"}}));
+                "sun": {"elevation_deg": sun_deg}, "atmosphere": {"model": "physical"}}));
             scene["atmosphere"] = merged(scene["atmosphere"].clone(), air.clone());
             stage.scene(&scene);
-            for altitude_m in [2.0, 20_000.0, 400_000.0] {
-                let pitch_deg = if altitude_m > 2.0 { -20.0 } else { 10.0 };
+            for (altitude_m, pitch_deg) in [(2.0, 10.0), (400_000.0, -60.0)] {
                 let camera = eye([0.0, altitude_m, 0.0], 30.0, pitch_deg, 70.0);
                 let picture = stage.look(camera, small(), SCREEN);
                 line.picture(
-                    format!("{what}, the sun at {elevation_deg}, from {altitude_m} m"),
+                    format!("{what}, the sun at {sun_deg}, from {altitude_m} m"),
                     &picture,
                 );
             }

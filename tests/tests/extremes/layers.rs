@@ -57,8 +57,10 @@ pub(crate) fn any(stage: &mut Stage) -> Line {
 
     // A layer that fills everything is as thick as it is, however far wind has carried it.
     for east_m in [0.0, 1e12] {
-        let scene = slab(json!({"layers": [full("all", 1000.0, 2000.0, 1e-3, 1.0)], "time": {"epoch": NOW},
-            "drift": {"since": NOW, "layers_m": {"all": [east_m, 0.0, -east_m]}}}));
+        let scene = slab(
+            json!({"layers": [full("all", 1000.0, 2000.0, 1e-3, 1.0)], "time": {"epoch": NOW},
+            "drift": {"since": NOW, "layers_m": {"all": [east_m, 0.0, -east_m]}}}),
+        );
         let now = Moment::parse(NOW, "now").expect("a moment");
         stage.show(Scene::from_json(&scene).expect("valid").at(now));
         let found = stage.rays(
@@ -69,12 +71,14 @@ pub(crate) fn any(stage: &mut Stage) -> Line {
             ],
             MarchSettings::plain(25),
         );
-        for (found, depth) in found.layers[0].iter().zip([1.0, 2.0]) {
+        // Straight up by whole steps; at a slant the last one goes beyond the layer.
+        let exact = [(1.0, 64.0 * U), (2.0, 2.0 / 25.0)];
+        for (found, (depth, bound)) in found.layers[0].iter().zip(exact) {
             line.case();
             line.holds(
                 format!("carried by {east_m} m: an optical depth of {depth}"),
                 (f64::from(found.optical_depth) - depth).abs(),
-                depth * 64.0 * U,
+                bound,
             );
         }
     }

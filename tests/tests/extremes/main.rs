@@ -69,7 +69,7 @@ const CASES: [(Run, usize); 35] = [
     (documents::light, 28),
     (documents::timelines, 41),
     (air::opaque, 3),
-    (air::anywhere, 42),
+    (air::anywhere, 14),
 ];
 
 fn check(index: usize) {

@@ -239,8 +239,7 @@ fn a_cloud_begins_where_coverage_times_profile_reaches_the_threshold_of_its_nois
                 // softness; nothing below the least.
                 let below = density.max(smooth) * f64::from(u8::from(profile < least + moved));
                 let solid = most + 0.2 + 1.0 / form.steepness;
-                let above =
-                    (1.0 - smooth) * f64::from(u8::from(profile > solid - moved - 1e-5));
+                let above = (1.0 - smooth) * f64::from(u8::from(profile > solid - moved - 1e-5));
                 (below.max(above), 1e-5)
             }))
         };
@@ -281,9 +280,8 @@ fn clouds_keep_the_share_of_their_coverage_that_their_height_and_type_have_in_cl
                     let here = closed_form(local_type, height);
                     (at(1.0) - here).abs().max((at(-1.0) - here).abs())
                 };
-                let bound = 0.5 / 255.0
-                    + 1e-5
-                    + 0.5 * (apart(1.0 / 64.0, 0.0) + apart(0.0, 1.0 / 128.0));
+                let bound =
+                    0.5 / 255.0 + 1e-5 + 0.5 * (apart(1.0 / 64.0, 0.0) + apart(0.0, 1.0 / 128.0));
                 ((profile - exact).abs(), bound)
             }))
         };

@@ -87,9 +87,7 @@ fn a_sheets_depth_towards_the_sun_is_summed_along_the_way_there() {
         let check = |factor: f64| {
             worst(points.iter().zip(&values).map(|(point, value)| {
                 let position = DVec3::from_array(wide(point[0]));
-                let depth = |at: DVec3| {
-                    sheet_sun_depth(&probe.world, layer, at, sun_steps)
-                };
+                let depth = |at: DVec3| sheet_sun_depth(&probe.world, layer, at, sun_steps);
                 let exact = depth(position);
                 // The altitude of a place 100 km away is known to some centimetres, as is the place.
                 let moved = moves(depth, position, reach_m(position));

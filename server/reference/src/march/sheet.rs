@@ -1,7 +1,7 @@
 //! One ray through a thin sheet, with the shaders' samples.
 
-use super::blend::Gathering;
 use super::MarchSteps;
+use super::blend::Gathering;
 use super::layer::layer_distance_m;
 use crate::scattering::{SURROUNDINGS_REACH_M, Surroundings};
 use crate::transport::one_minus_exp_over;
