@@ -18,8 +18,8 @@ fn radiance(
 ) -> anyhow::Result<Vec<f32>> {
     let done = Command::new(binary("skycell-server")?)
         .args(["render", "--preset", preset, "--renderer", renderer])
-        .args(["--width", "24", "--height", "14", "--samples", "1"])
-        .args(["--steps", "96", "--out"])
+        .args(["--width", "16", "--height", "9", "--samples", "1"])
+        .args(["--steps", "48", "--out"])
         .arg(out)
         .arg("--noise-cache-dir")
         .arg(target_dir()?.join("noise-of-tests"))
