@@ -289,18 +289,18 @@ gpu_struct! {
         type_spread: f32,
         /// Fills to 16 bytes.
         pad_form: f32,
-        /// Spectral irradiance of the sun at the layer's base, facing it, W/(m² nm).
-        sun_at_base: [f32; 3],
-        /// Fills to 16 bytes.
-        pad_base: f32,
-        /// How it grows with the share of the layer's height.
-        sun_slope: [f32; 3],
-        /// Fills to 16 bytes.
-        pad_slope: f32,
-        /// And with its square.
-        sun_curve: [f32; 3],
-        /// Fills to 16 bytes.
-        pad_curve: f32,
+        /// Optical depth of the air towards the sun at the layer's base.
+        sun_depth_at_base: [f32; 3],
+        /// The layer's thickness over the height in which air falls to 1/e.
+        air_folds: f32,
+        /// How much more it is at the layer's top.
+        sun_depth_rise: [f32; 3],
+        /// The layer's thickness over the height in which aerosol falls to 1/e.
+        aerosol_folds: f32,
+        /// What is added in between, per difference of both constituents' shares.
+        sun_depth_bend: [f32; 3],
+        /// 1; 0 where air in front of the layer is left out.
+        has_haze: f32,
     }
 }
 

@@ -35,4 +35,4 @@ pub use field::{Field, LayerField, Noise, SheetMaps, WeatherMaps};
 pub use ray::Ray;
 pub use result::{LayerGathered, RayResult, StandardErrors};
 pub use texture::{ByteVolume, TexelMap};
-pub use world::{Approximations, World, WorldLayer, WorldSettings};
+pub use world::{Approximations, Medium, World, WorldLayer, WorldSettings};

@@ -243,11 +243,22 @@ impl BaseTables {
         let above = (mu_sun - horizon) * (r + h) / (r * self.sun_radius_rad);
         let t = (0.5 + 0.5 * above).clamp(0.0, 1.0);
         let visible = t * t * (3.0 - 2.0 * t);
-        if visible == 0.0 || altitude_m >= medium.top_m {
-            return DVec3::splat(visible);
+        if visible == 0.0 {
+            return DVec3::ZERO;
         }
-        let (across, down) = place_of_direction(medium, h, mu_sun.max(horizon));
-        visible * exp(-exp(self.depth.at(across, down)))
+        visible * exp(-self.sun_depth(altitude_m, mu_sun))
+    }
+
+    /// Optical depth of the air from a place to the sun, or to the horizon where the sun is below it.
+    #[must_use]
+    pub fn sun_depth(&self, altitude_m: f64, mu_sun: f64) -> DVec3 {
+        let medium = &self.medium;
+        if altitude_m >= medium.top_m {
+            return DVec3::ZERO;
+        }
+        let mu = mu_sun.max(medium.mu_horizon(altitude_m));
+        let (across, down) = place_of_direction(medium, altitude_m.max(0.0), mu);
+        exp(self.depth.at(across, down))
     }
 
     /// Radiance of the higher orders of scattering at a place, 1/sr.

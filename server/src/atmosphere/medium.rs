@@ -24,8 +24,10 @@ const STEP_DEPTH: f64 = 0.8;
 const STEP_GROWTH: f64 = 0.25;
 /// Largest change of altitude in a step, in scale heights.
 const STEP_HEIGHTS: f64 = 1.0;
-/// Longest step, in radii of the planet.
+/// Longest step, in distances from the planet's centre: the sun's height changes over it. Around a planet that is small for
+/// its air, whose paths are many radii long, a share of what is left of the path, which bounds the number of steps.
 const STEP_RADII: f64 = 0.02;
+const STEP_SHARE: f64 = 0.05;
 /// Steps of a path at most.
 const STEPS_MAX: usize = 256;
 /// Optical depth behind which nothing is seen.
@@ -219,7 +221,7 @@ impl Medium {
     /// [`STEP_HEIGHTS`] scale heights.
     pub(super) fn walk(&self, altitude_m: f64, mu: f64, [start, _, end]: [f64; 3]) -> Vec<Stand> {
         let r = self.radius_m + altitude_m;
-        let reach_m = |distance_m: f64, depth: DVec3| {
+        let reach_m = |distance_m: f64, depth: DVec3, rest_m: f64| {
             let (there_m, radius) = self.altitude_along(altitude_m, mu, distance_m);
             let densities = self.densities(there_m);
             let [air, aerosol, _] = densities;
@@ -241,14 +243,14 @@ impl Medium {
                 / self.extinction_per_m(densities).max(DVec3::splat(1e-30));
             climb
                 .min(allowed.min_element())
-                .min(STEP_RADII * self.radius_m)
+                .min((STEP_RADII * radius).max(STEP_SHARE * rest_m))
         };
         let mut stands = Vec::new();
         let (mut at, mut depth) = (start, DVec3::ZERO);
         while at < end && stands.len() < 2 * STEPS_MAX && depth.min_element() < OPAQUE {
             let rest = end - at;
-            let far = reach_m(at, depth).min(rest);
-            let near = reach_m(at + far, depth).clamp(0.125 * far, far);
+            let far = reach_m(at, depth, rest).min(rest);
+            let near = reach_m(at + far, depth, rest).clamp(0.125 * far, far);
             let length = if stands.len() + 2 == 2 * STEPS_MAX {
                 rest
             } else {
@@ -306,4 +308,61 @@ impl Medium {
 
 pub(super) fn exp(v: DVec3) -> DVec3 {
     DVec3::new(v.x.exp(), v.y.exp(), v.z.exp())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    /// Optical depth times what is left of light, summed over a path in small even steps.
+    fn opacity(medium: &Medium, altitude_m: f64, mu: f64, [start, _, end]: [f64; 3]) -> DVec3 {
+        const STEPS: u32 = 100_000;
+        let length = (end - start) / f64::from(STEPS);
+        let (mut depth, mut sum) = (DVec3::ZERO, DVec3::ZERO);
+        for i in 0..STEPS {
+            let at = start + (f64::from(i) + 0.5) * length;
+            let densities = medium.densities(medium.altitude_along(altitude_m, mu, at).0);
+            let more = medium.extinction_per_m(densities) * length;
+            sum += medium.scattering_per_m(densities) * length * exp(-(depth + 0.5 * more));
+            depth += more;
+        }
+        sum
+    }
+
+    #[test]
+    fn walks_are_short_and_right_around_planets_of_any_size() {
+        let (mut most, mut worst) = (0, 0.0f64);
+        for radius_m in [1e4, 1e5, 6.36e6, 1e8] {
+            let document = json!({"version": 1, "planet": {"radius_m": radius_m},
+                "atmosphere": {"model": "physical"}});
+            let scene = Scene::from_json(&document).expect("valid");
+            let medium = Medium::of(&scene).expect("air");
+            for altitude_m in [0.0, 5_000.0, 40_000.0, 400_000.0] {
+                // A share of the way from the nadir's horizon to the zenith.
+                let horizon = medium.mu_horizon(altitude_m) + 1e-6;
+                for share in [0.0, 1e-3, 0.02, 0.1, 0.4, 1.0] {
+                    let mu = horizon + share * (1.0 - horizon);
+                    let Some(path) = medium.path_m(altitude_m, mu, false) else {
+                        continue;
+                    };
+                    let stands = medium.walk(altitude_m, mu, path);
+                    most = most.max(stands.len());
+                    let walked: DVec3 = stands
+                        .iter()
+                        .map(|stand| {
+                            medium.scattering_per_m(stand.densities) * stand.length_m * stand.kept
+                        })
+                        .sum();
+                    let exact = opacity(&medium, altitude_m, mu, path);
+                    let off = ((walked - exact) / exact).abs().max_element();
+                    worst = worst.max(off);
+                }
+            }
+        }
+        println!("at most {most} points, {worst:.5} off");
+        // Two points a step; the last step takes what is left, and is never needed.
+        assert!(most < 2 * STEPS_MAX, "{most} points");
+        assert!(worst < 0.01, "{worst}");
+    }
 }

@@ -10,7 +10,9 @@ use std::sync::Arc;
 /// Size of the sky's table, as in `sky/air.wgsl`.
 const VIEW_SIZE: [u32; 2] = [96, 192];
 /// Size of the haze's table: azimuths, elevations, distances.
-const HAZE_SIZE: [u32; 3] = [16, 56, 16];
+const HAZE_SIZE: [u32; 3] = [32, 56, 31];
+/// Distances of the haze's extinction.
+const HAZE_EXTINCTION_SLICES: u32 = 61;
 /// Altitudes whose tables are kept.
 const VIEWS_MAX: usize = 64;
 
@@ -172,7 +174,7 @@ impl AirViews {
     pub fn bytes(&self) -> u64 {
         let texels = 2 * VIEW_SIZE[0] * VIEW_SIZE[1]
             + HAZE_SIZE[0] * HAZE_SIZE[1] * HAZE_SIZE[2]
-            + HAZE_SIZE[1] * HAZE_SIZE[2];
+            + HAZE_SIZE[1] * HAZE_EXTINCTION_SLICES;
         let base = self.base.as_ref().map_or(0, |base| {
             [&base.tables.depth, &base.tables.orders, &base.tables.ground]
                 .iter()
@@ -289,7 +291,7 @@ impl View {
         let scattered = made("sky", [columns, rows, 1]);
         let aerosol = made("aerosol", [columns, rows, 1]);
         let source = made("haze", HAZE_SIZE);
-        let extinction = made("haze extinction", [HAZE_SIZE[2], HAZE_SIZE[1], 1]);
+        let extinction = made("haze extinction", [HAZE_EXTINCTION_SLICES, HAZE_SIZE[1], 1]);
         let [depth, orders, ground] = &base.views;
         Self {
             made: None,
@@ -341,7 +343,7 @@ impl View {
         });
         let groups = [
             [VIEW_SIZE[0].div_ceil(16), VIEW_SIZE[1].div_ceil(4)],
-            [1, HAZE_SIZE[1].div_ceil(4)],
+            [HAZE_SIZE[0].div_ceil(16), HAZE_SIZE[1].div_ceil(4)],
         ];
         for ((key, out), [x, y]) in table_keys().into_iter().zip(&self.out_groups).zip(groups) {
             let Some(pipeline) = pipelines.get(key) else {

@@ -118,6 +118,12 @@ impl SkyLight {
         })
     }
 
+    /// Tables of the air, where it is no closed formula.
+    #[must_use]
+    pub fn air(&self) -> Option<&BaseTables> {
+        self.air.as_deref()
+    }
+
     /// Mean extinction of the air between the ground and an altitude, 1/m.
     #[must_use]
     pub fn air_extinction_per_m(&self, altitude_m: f64) -> DVec3 {

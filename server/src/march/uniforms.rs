@@ -2,6 +2,7 @@
 
 use super::night::night_uniform;
 use super::{CellFrame, MarchSettings, SkyLight};
+use crate::atmosphere::BaseTables;
 use crate::field::{SKIP_RANGE_SHARE, mean_height_fraction};
 use crate::gpu::{PlacedSheet, PlacedWeather};
 use glam::DVec3;
@@ -380,10 +381,12 @@ pub fn scene_uniform(
         let drift = drifts.get(layer.scene_index).copied().unwrap_or_default();
         uniform.layers[place] =
             layer_uniform(scene, *layer, place, settings, frame, drift, *anchor);
-        let [at_base, slope, curve] = sun_in_layer(scene, light, *layer);
-        uniform.layers[place].sun_at_base = f32s(at_base);
-        uniform.layers[place].sun_slope = f32s(slope);
-        uniform.layers[place].sun_curve = f32s(curve);
+        if let Some(air) = light.air() {
+            let layer = &scene.layers()[layer.scene_index];
+            let heights_m = [layer.base_altitude_m(), layer.top_altitude_m()];
+            sun_in_layer(air, light.sun_direction.y, heights_m).tell(&mut uniform.layers[place]);
+        }
+        uniform.layers[place].has_haze = f32::from(u8::from(settings.aerial_perspective));
         if settings.aerial_perspective {
             uniform.layers[place].air_extinction_per_m =
                 f32s(light.air_extinction_per_m(layer.proxy_altitude_m));
@@ -392,14 +395,60 @@ pub fn scene_uniform(
     uniform
 }
 
-/// The sun's irradiance in a layer as a parabola in the share of its height, through base, middle and top. At sunset the
-/// top of a cloud gets twice the light of its base.
-fn sun_in_layer(scene: &Scene, light: &SkyLight, active: ActiveLayer) -> [DVec3; 3] {
-    let layer = &scene.layers()[active.scene_index];
-    let (base_m, top_m) = (layer.base_altitude_m(), layer.top_altitude_m());
-    let [base, middle, top] = [base_m, 0.5 * (base_m + top_m), top_m].map(|h| light.sun_at(h));
-    let curve = 2.0 * (base - 2.0 * middle + top);
-    [base, top - base - curve, curve]
+/// Optical depth of the air from a layer's altitudes to the sun: what air has above an altitude falls exponentially, and so
+/// does what aerosol has; ozone lies above all clouds. So two exponentials stand for it, through its values at base, middle
+/// and top, written so that they hold in thin layers, where both are about linear.
+struct SunInLayer {
+    /// The layer's thickness over the heights in which air and aerosol fall to 1/e.
+    folds: [f64; 2],
+    at_base: DVec3,
+    rise: DVec3,
+    bend: DVec3,
+}
+
+/// Least difference of both exponentials in the middle of a layer for which it tells anything in f32.
+const LEAST_BEND: f64 = 1e-5;
+
+fn share_below(folds: f64, share: f64) -> f64 {
+    (-folds * share).exp_m1() / (-folds).exp_m1()
+}
+
+fn sun_in_layer(air: &BaseTables, mu_sun: f64, [base_m, top_m]: [f64; 2]) -> SunInLayer {
+    let [base, middle, top] =
+        [base_m, 0.5 * (base_m + top_m), top_m].map(|h| air.sun_depth(h, mu_sun));
+    let thickness_m = (top_m - base_m).max(1e-3);
+    let medium = &air.medium;
+    let folds = [medium.rayleigh_scale_m, medium.mie_scale_m].map(|scale| thickness_m / scale);
+    let [of_air, of_aerosol] = folds.map(|folds| share_below(folds, 0.5));
+    let rise = top - base;
+    let apart = of_aerosol - of_air;
+    let bend = if apart.abs() < LEAST_BEND {
+        DVec3::ZERO
+    } else {
+        (middle - base - rise * of_air) / apart
+    };
+    SunInLayer {
+        folds,
+        at_base: base,
+        rise,
+        bend,
+    }
+}
+
+impl SunInLayer {
+    fn tell(&self, layer: &mut layout::Layer) {
+        layer.sun_depth_at_base = f32s(self.at_base);
+        layer.sun_depth_rise = f32s(self.rise);
+        layer.sun_depth_bend = f32s(self.bend);
+        [layer.air_folds, layer.aerosol_folds] = self.folds.map(|folds| folds as f32);
+    }
+
+    /// As `sun_at_altitude` of the composite has it.
+    #[cfg(test)]
+    fn depth(&self, share: f64) -> DVec3 {
+        let [air, aerosol] = self.folds.map(|folds| share_below(folds, share));
+        self.at_base + air * self.rise + (aerosol - air) * self.bend
+    }
 }
 
 /// Where a layer without maps can have density: its bounds, or for a whole layer more than any ray sees.
@@ -496,7 +545,12 @@ fn layer_uniform(
     };
     if let Some([min_m, max_m]) = bounds_m(layer.density()) {
         let [x, z] = frame.origin_m();
-        let in_frame = min_m + DVec3::new(drift.x - x, 0.0, drift.z - z);
+        // A layer that fills everything is everywhere the same: neither wind nor the cell's place carries it away.
+        let moved = match layer.density() {
+            DensityModel::Homogeneous(Shape::Layer) => DVec3::ZERO,
+            _ => DVec3::new(drift.x - x, 0.0, drift.z - z),
+        };
+        let in_frame = min_m + moved;
         uniform.bounds_min = f32s(in_frame);
         uniform.bounds_per_m = f32s(1.0 / (max_m - min_m));
         uniform.is_ball = u32::from(matches!(
@@ -570,7 +624,12 @@ fn layer_uniform(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::atmosphere::Medium;
     use serde_json::json;
+
+    fn exp(v: DVec3) -> DVec3 {
+        DVec3::from_array(v.to_array().map(f64::exp))
+    }
 
     #[test]
     fn layers_that_show_nothing_are_left_out() {
@@ -584,6 +643,46 @@ mod tests {
         let active = active_layers(&scene);
         assert_eq!(active.len(), 1);
         assert_eq!(active[0].scene_index, 3);
+    }
+
+    #[test]
+    fn the_suns_light_in_a_layer_is_that_of_the_air() {
+        // Relative to the light at the layer's top; the table is read between its texels on both sides. With the sun on the
+        // horizon aerosol along the slant no longer falls by one exponential.
+        let mut worst = [0.0f64; 2];
+        for (aerosol, scale_m) in [(0.35, 1200.0), (0.2, 4000.0)] {
+            let document = json!({"version": 1, "atmosphere": {"model": "physical",
+                "aerosol_optical_depth": aerosol, "aerosol_scale_height_m": scale_m}});
+            let scene = Scene::from_json(&document).expect("valid");
+            let radius_rad = super::super::sky::sun_angular_radius_rad();
+            let air = BaseTables::new(Medium::of(&scene).expect("air"), radius_rad);
+            for heights_m in [
+                [0.0, 500.0],
+                [1100.0, 13_000.0],
+                [1500.0, 4000.0],
+                [2000.0, 2000.5],
+                [8000.0, 8500.0],
+            ] {
+                let [base_m, top_m]: [f64; 2] = heights_m;
+                for elevation_deg in [0.5, 2.0, 5.0, 10.0, 17.0, 40.0, 90.0f64] {
+                    let mu = elevation_deg.to_radians().sin();
+                    let found = sun_in_layer(&air, mu, heights_m);
+                    let top = air.sun_transmittance(top_m, mu);
+                    for share in (0..=40).map(|i| f64::from(i) / 40.0) {
+                        let at_m = base_m + share * (top_m - base_m);
+                        let visible =
+                            air.sun_transmittance(at_m, mu) / exp(-air.sun_depth(at_m, mu));
+                        let off =
+                            visible * exp(-found.depth(share)) - air.sun_transmittance(at_m, mu);
+                        let off = (off / top).abs().max_element();
+                        let low = usize::from(elevation_deg < 5.0);
+                        worst[low] = worst[low].max(off);
+                    }
+                }
+            }
+        }
+        println!("{worst:?}");
+        assert!(worst[0] < 0.004 && worst[1] < 0.02, "{worst:?}");
     }
 
     #[test]

@@ -13,7 +13,7 @@ use glam::DVec3;
 use serde_json::json;
 use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, Show};
 use skycell_reference::phase::one_minus_mu;
-use skycell_reference::{RayResult, World};
+use skycell_reference::{Ray, RayResult, World};
 use std::sync::Arc;
 
 fn settings(
@@ -293,6 +293,11 @@ fn listed(scene: &Scene, rays: &[WorldRay]) -> anyhow::Result<RayPicture> {
 fn result_of(world: &World, ray: &StillRay, figures: &RayFigures, index: usize) -> RayResult {
     let light = world.light();
     let x = one_minus_mu(ray.direction, light.sun_direction);
+    let reference_ray = Ray {
+        origin_m: ray.origin_m,
+        direction: ray.direction,
+    };
+    let background = light.background(&reference_ray, ray.direction);
     let layers: Vec<(&LayerFigures, f64, DVec3, f64)> = figures
         .layers
         .iter()
@@ -319,11 +324,14 @@ fn result_of(world: &World, ray: &StillRay, figures: &RayFigures, index: usize) 
         let transmittance = f64::from(found.transmittance);
         let distance_m = f64::from(found.opacity_distance_m) / (1.0 - transmittance + 1e-3);
         let kept = if world.settings().approximations.aerial_perspective {
-            (-distance_m * *air_extinction_per_m).exp()
+            background
+                .haze(light, distance_m, *air_extinction_per_m)
+                .kept
         } else {
             DVec3::ONE
         };
-        let lit_once = light.irradiance_at_clouds * (*phase_per_sr * f64::from(found.single));
+        let seen_m = world.globe().altitude_m(reference_ray.at(distance_m));
+        let lit_once = light.sun_at(seen_m) * (*phase_per_sr * f64::from(found.single));
         result.single_scattered += result.transmittance * lit_once * kept;
         result.transmittance *= transmittance;
         result.optical_depth += f64::from(found.optical_depth);

@@ -113,6 +113,7 @@ fn ordered_layer(world: Scene, eye: View, back: Background, layer: Layer, table:
 #else
     ordered.haze = haze_of_layer(back, distance_seen_m(cloud.opacity_distance_m, cloud.transmittance));
 #endif
+    ordered.haze.extinction_per_m *= layer.has_haze;
     ordered.sun_irradiance = sun_on_cloud(world, layer, cloud, ray);
 #else
     ordered.air_extinction_per_m = layer.air_extinction_per_m;

@@ -3,12 +3,14 @@
 #import skycell::sky::{clear_sky, sun_disc_radiance}
 #import skycell::phase::{one_minus_mu, phase_over_disc_per_sr}
 #import skycell::march::{LayerRadiance, distance_seen_m}
-#import skycell::scene::{Scene, Layer, Phase}
+#import skycell::scene::{Scene, Sun, Layer, Phase}
 #ifdef MOON
 #import skycell::night::moon_disc_radiance
 #endif
 #ifdef PHYSICAL_SKY
 #import skycell::physical::{AirView, Haze, air_view, haze_until}
+#import skycell::air::mu_horizon
+#import skycell::transport::one_minus_exp_over
 #endif
 
 /// What lies behind all clouds around a direction. Air and ground change so little over two pixels that four share one;
@@ -150,14 +152,33 @@ fn haze_of_layer(back: Background, distance_m: f32) -> Haze {
     return haze_until(back.view, distance_m);
 }
 
+/// How much of what a constituent has over a layer lies below a share of the layer's height. folds: the layer's thickness
+/// over the height in which the constituent falls to 1/e.
+fn share_below(folds: f32, share: f32) -> f32 {
+    return share * one_minus_exp_over(folds * share) / one_minus_exp_over(folds);
+}
+
+/// Spectral irradiance of the sun at an altitude in or about a layer, on a surface that faces it. What air and aerosol have
+/// above an altitude falls exponentially, and so does the optical depth to the sun: two exponentials through its values at
+/// base, middle and top. The share of the disc above the horizon is a smooth step over its diameter.
+fn sun_at_altitude(planet_radius_m: f32, sun: Sun, layer: Layer, altitude_m: f32) -> vec3f {
+    let share = saturate((altitude_m - layer.base_altitude_m) / max(layer.top_altitude_m - layer.base_altitude_m, 1e-3));
+    let air = share_below(layer.air_folds, share);
+    let aerosol = share_below(layer.aerosol_folds, share);
+    let depth = max(layer.sun_depth_at_base + air * layer.sun_depth_rise + (aerosol - air) * layer.sun_depth_bend, vec3f(0.0));
+    let height_m = layer.base_altitude_m + share * (layer.top_altitude_m - layer.base_altitude_m);
+    let above = (sun.direction.y - mu_horizon(planet_radius_m, height_m)) * (1.0 + height_m / planet_radius_m);
+    let visible = smoothstep(-1.0, 1.0, above / sun.angular_radius_rad);
+    return sun.irradiance * visible * exp(-depth);
+}
+
 /// Spectral irradiance of the sun where a ray sees a cloud, by the altitude of what it sees there.
 fn sun_on_cloud(world: Scene, layer: Layer, cloud: LayerRadiance, ray: Ray) -> vec3f {
     let distance_m = distance_seen_m(cloud.opacity_distance_m, cloud.transmittance);
     // Altitude at a distance, to first order in distance over radius.
     let bend = 0.5 * (1.0 - ray.mu * ray.mu) * distance_m / (world.planet.radius_m + ray.origin_altitude_m);
     let altitude = ray.origin_altitude_m + distance_m * (ray.mu + bend);
-    let share = saturate((altitude - layer.base_altitude_m) / max(layer.top_altitude_m - layer.base_altitude_m, 1e-3));
-    return max(layer.sun_at_base + share * (layer.sun_slope + share * layer.sun_curve), vec3f(0.0));
+    return sun_at_altitude(world.planet.radius_m, world.sun, layer, altitude);
 }
 
 /// As layer_over, with haze from the tables and the sun's light where the cloud is seen.

@@ -214,10 +214,40 @@ fn other_layers_sun_depth(ray: RayScene, position: vec3f) -> f32 {
 }
 
 #ifdef DENSITY_CIRRUS
-/// Optical depth from a point of a sheet towards the sun: as if the sheet were everywhere as dense as at the point.
+/// How far apart samples of a sheet stand along the ground where their number allows it, m: a few texels of its map.
+const SHEET_SAMPLE_M: f32 = 120.0;
+/// Samples of a sheet on one part of a ray that every quality may take, and steps of a layer's march that one more stands for.
+const SHEET_SAMPLES_LEAST: f32 = 8.0;
+const STEPS_PER_SHEET_SAMPLE: f32 = 16.0;
+
+/// Samples on a part of a ray through a sheet, `most` of them where it is long.
+fn sheet_samples(length_m: f32, across: f32, most: f32) -> f32 {
+    return select(0.0, clamp(ceil(length_m * across / SHEET_SAMPLE_M), 1.0, max(most, 1.0)), length_m > 0.0);
+}
+
+/// Most samples on a part of a view ray: more where other layers take more steps.
+fn sheet_samples_max(layer: Layer) -> f32 {
+    let steps = (layer.top_altitude_m - layer.base_altitude_m) / layer.step_min_m;
+    return max(SHEET_SAMPLES_LEAST, floor(steps / STEPS_PER_SHEET_SAMPLE + 0.5));
+}
+
+/// Optical depth from a point of a sheet towards the sun, within the sheet: by samples in the middles of even parts, as far
+/// apart as those along the view where sun_steps allow as many. Under a low sun one fibre shades the next.
+fn sheet_sun_depth(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
+    let length_m = sheet_sun_length_m(ray, layer, position);
+    let count = sheet_samples(length_m, length(ray.sun_direction.xz), f32(ray.sun_steps));
+    let part_m = length_m / max(count, 1.0);
+    var sum = 0.0;
+    for (var i = 0.0; i < count; i += 1.0) {
+        let sample = position + ray.sun_direction * ((i + 0.5) * part_m);
+        sum += sheet_density(layer, sample.xz);
+    }
+    return sum * part_m * layer.extinction_per_m;
+}
+
+/// Optical depth from a point of a sheet towards the sun, of all layers where the volume knows them.
 fn sun_optical_depth(ray: RayScene, layer: Layer, position: vec3f) -> f32 {
-    let own = sheet_sun_length_m(ray, layer, position) * sheet_density(layer, position.xz) * layer.extinction_per_m;
-    return own + other_layers_sun_depth(ray, position);
+    return sheet_sun_depth(ray, layer, position) + other_layers_sun_depth(ray, position);
 }
 
 /// The way from a point of a sheet towards the sun inside it, m.
@@ -298,16 +328,6 @@ fn surroundings(ray: RayScene, layer: Layer, position: vec3f, up: vec3f, samples
 #endif
 
 #ifdef DENSITY_CIRRUS
-/// How far apart samples of a sheet stand along the ground where their number allows it, m: a few texels of its map.
-const SHEET_SAMPLE_M: f32 = 120.0;
-/// Most samples of a sheet on one part of a ray.
-const SHEET_SAMPLES_MAX: f32 = 8.0;
-
-/// Samples on a part of a ray through a sheet.
-fn sheet_samples(length_m: f32, across: f32) -> f32 {
-    return select(0.0, clamp(ceil(length_m * across / SHEET_SAMPLE_M), 1.0, SHEET_SAMPLES_MAX), length_m > 0.0);
-}
-
 /// One ray through a thin sheet: a few samples where it is met, no march. start_fraction in 0...1 as in the other march_layer.
 fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction: f32) -> LayerRadiance {
     let ray = ray_scene(layer_index);
@@ -319,7 +339,8 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
     let intervals = layer_intervals(ray.planet_radius_m, scene.planet.has_ground > 0.0, layer.base_altitude_m, layer.top_altitude_m, origin, direction);
     let across = length(direction.xz);
     let lengths_m = max(vec2f(intervals.first_end_m - intervals.first_start_m, intervals.second_end_m - intervals.second_start_m), vec2f(0.0));
-    let counts = vec2f(sheet_samples(lengths_m.x, across), sheet_samples(lengths_m.y, across));
+    let most = sheet_samples_max(layer);
+    let counts = vec2f(sheet_samples(lengths_m.x, across, most), sheet_samples(lengths_m.y, across, most));
     let layer_distance_m = 0.5 * select(intervals.second_start_m + intervals.second_end_m, intervals.first_start_m + intervals.first_end_m, lengths_m.x > 0.0);
 
     var transmittance = 1.0;
@@ -343,8 +364,7 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         let optical_depth = density * layer.extinction_per_m * length_m;
         let opacity = optical_depth * one_minus_exp_over(optical_depth);
         let weight = transmittance * opacity;
-        let own_depth = sheet_sun_length_m(ray, layer, position) * density * layer.extinction_per_m;
-        let sun_depth = own_depth + other_layers_sun_depth(ray, position);
+        let sun_depth = sun_optical_depth(ray, layer, position);
         for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) {
             octave_sums[k] += weight * exp(-octave_attenuation[k] * sun_depth);
         }

@@ -147,14 +147,16 @@ struct Layer {
     /// Share of the type map in the local type, 0...1.
     type_spread: f32,
     pad_form: f32,
-    /// Spectral irradiance of the sun at the layer's base, on a surface that faces it, and how it grows with the share f of
-    /// the layer's height: base + f (slope + f curve).
-    sun_at_base: vec3f,
-    pad_base: f32,
-    sun_slope: vec3f,
-    pad_slope: f32,
-    sun_curve: vec3f,
-    pad_curve: f32,
+    /// Optical depth of the air towards the sun at the layer's base, how much more it is at its top, and what is added in
+    /// between: see sun_on_cloud.
+    sun_depth_at_base: vec3f,
+    /// The layer's thickness over the heights in which air and aerosol fall to 1/e.
+    air_folds: f32,
+    sun_depth_rise: vec3f,
+    aerosol_folds: f32,
+    sun_depth_bend: vec3f,
+    /// 1; 0 where air in front of the layer is left out.
+    has_haze: f32,
 }
 
 /// What is seen at night beside sky and clouds. Read only where a scene has a moon or stars.

@@ -39,11 +39,15 @@ const OZONE_HALF_WIDTH_M: f32 = 15000.0;
 const VIEW_COLUMNS: u32 = 96u;
 const VIEW_SKY_ROWS: u32 = 120u;
 const VIEW_GROUND_ROWS: u32 = 72u;
-/// Texels of the haze's table; its slices are distances.
-const HAZE_COLUMNS: u32 = 16u;
+/// Texels of the haze's tables, whose slices are distances. Mean extinction bends more than the source does, and has no
+/// columns: it has more of them.
+const HAZE_COLUMNS: u32 = 32u;
 const HAZE_SKY_ROWS: u32 = 32u;
 const HAZE_GROUND_ROWS: u32 = 24u;
-const HAZE_SLICES: u32 = 16u;
+const HAZE_SLICES: u32 = 31u;
+const HAZE_EXTINCTION_SLICES: u32 = 61u;
+/// Slices of the extinction for one of the source.
+const HAZE_SLICES_APART: u32 = 2u;
 
 /// Cosine of the zenith angle of the horizon. Below the ground's level the horizon is level.
 fn mu_horizon(radius_m: f32, altitude_m: f32) -> f32 {

@@ -1,7 +1,7 @@
 // Air between an eye at one altitude and what it sees at a distance: one invocation a direction, which walks through all
 // distances. As far as a distance d the air keeps e^(-e d) of the light behind and adds s (1 - e^(-e d)): e is its mean
 // extinction, s its mean source. Both change little along a path, down to d = 0, where light and depth themselves vanish.
-#import skycell::air::{HAZE_COLUMNS, HAZE_SKY_ROWS, HAZE_GROUND_ROWS, HAZE_SLICES, air_path, mu_of_elevation, cos_azimuth_of, share_of_distance, phase_rayleigh_per_sr}
+#import skycell::air::{HAZE_COLUMNS, HAZE_SKY_ROWS, HAZE_GROUND_ROWS, HAZE_EXTINCTION_SLICES, HAZE_SLICES_APART, air_path, mu_of_elevation, cos_azimuth_of, share_of_distance, phase_rayleigh_per_sr}
 #import skycell::air_march::{air, AirSum, add_interval, step_m}
 #import skycell::phase::phase_hg_per_sr
 
@@ -34,9 +34,9 @@ fn make_air_haze(@builtin(global_invocation_id) id: vec3u) {
     var sum = AirSum(vec3f(0.0), vec3f(0.0), vec3f(0.0));
     // The first slice has no length: a short interval stands for it.
     var at = 0.0;
-    for (var slice = 0u; slice < HAZE_SLICES; slice += 1u) {
+    for (var slice = 0u; slice < HAZE_EXTINCTION_SLICES; slice += 1u) {
         let first = select(0.0, 1e-4, slice == 0u);
-        let end = length * max(share_of_distance(f32(slice) / f32(HAZE_SLICES - 1u), on_ground), first);
+        let end = length * max(share_of_distance(f32(slice) / f32(HAZE_EXTINCTION_SLICES - 1u), on_ground), first);
         for (var i = 0u; i < STEPS_MAX && at < end; i += 1u) {
             let rest = end - at;
             let step = select(step_m(medium, mu, nu, path.start_m + at, rest, sum.depth), rest, i + 1u == STEPS_MAX);
@@ -46,7 +46,9 @@ fn make_air_haze(@builtin(global_invocation_id) id: vec3u) {
         let light = sum.air_per_sr + sum.mie * mie_per_sr;
         let series = sum.depth * (1.0 - sum.depth * (0.5 - sum.depth * (1.0 / 6.0)));
         let lost = select(1.0 - exp(-sum.depth), series, sum.depth < vec3f(1e-2));
-        textureStore(source_out, vec3u(id.x, row, slice), vec4f(light / max(lost, vec3f(1e-20)) / mixed, 0.0));
+        if slice % HAZE_SLICES_APART == 0u {
+            textureStore(source_out, vec3u(id.x, row, slice / HAZE_SLICES_APART), vec4f(light / max(lost, vec3f(1e-20)) / mixed, 0.0));
+        }
         if id.x == 0u {
             textureStore(extinction_out, vec2u(slice, row), vec4f(sum.depth / at, 0.0));
         }

@@ -158,26 +158,28 @@ const STEP_GROWTH: f32 = 0.25;
 const STEP_HEIGHTS: f32 = 1.0;
 /// Largest e-folds of sunlight in a step.
 const STEP_SUN: f32 = 1.5;
-/// Longest step: air is thin there, and the light changes with the sun's height alone. In radii of the planet.
+/// Longest step: air is thin there, and the light changes with the sun's height alone. In radii of the planet; around a
+/// planet that is small for its air, whose paths are many radii long, a share of what is left, which bounds their number.
 const STEP_RADII: f32 = 0.01;
+const STEP_SHARE: f32 = 0.02;
 
 /// How far a place's air lets a step go, m.
-fn reach_m(medium: Air, at: Footing, depth: vec3f) -> f32 {
+fn reach_m(medium: Air, at: Footing, depth: vec3f, rest_m: f32) -> f32 {
     let allowed = STEP_DEPTH * exp(STEP_GROWTH * min(depth, vec3f(40.0))) / max(at.extinction_per_m, vec3f(1e-20));
     // |slope| t + bend t² = height
     let height = STEP_HEIGHTS * at.scale_m;
     let slope = abs(at.slope);
     let climb = 2.0 * height / (slope + sqrt(slope * slope + 4.0 * at.bend_per_m * height));
-    return min(min(allowed.x, min(allowed.y, allowed.z)), min(climb, STEP_RADII * medium.radius_m));
+    return min(min(allowed.x, min(allowed.y, allowed.z)), min(climb, max(STEP_RADII * medium.radius_m, STEP_SHARE * rest_m)));
 }
 
 /// Length of the next step of a walk that stands at a distance: as far as the air and the sun's light, here and where it
 /// would end, change little.
 fn step_m(medium: Air, mu: f32, nu: f32, distance_m: f32, rest_m: f32, depth: vec3f) -> f32 {
     let here = footing(medium, mu, nu, distance_m);
-    let far = min(reach_m(medium, here, depth), rest_m);
+    let far = min(reach_m(medium, here, depth, rest_m), rest_m);
     let there = footing(medium, mu, nu, distance_m + far);
-    let near = min(far, max(reach_m(medium, there, depth), 0.125 * far));
+    let near = min(far, max(reach_m(medium, there, depth, rest_m), 0.125 * far));
     let change = abs(there.sun_log - here.sun_log);
     let most = max(change.x, max(change.y, change.z));
     return max(near / max(most / STEP_SUN, 1.0), 1e-4 * rest_m);

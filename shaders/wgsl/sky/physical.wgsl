@@ -1,5 +1,5 @@
 #define_import_path skycell::physical
-#import skycell::air::{Air, VIEW_COLUMNS, VIEW_SKY_ROWS, VIEW_GROUND_ROWS, HAZE_COLUMNS, HAZE_SKY_ROWS, HAZE_GROUND_ROWS, HAZE_SLICES, air_path, elevation_place, azimuth_place, cos_azimuth, distance_place, row_place, texel_place, phase_rayleigh_per_sr}
+#import skycell::air::{Air, VIEW_COLUMNS, VIEW_SKY_ROWS, VIEW_GROUND_ROWS, HAZE_COLUMNS, HAZE_SKY_ROWS, HAZE_GROUND_ROWS, HAZE_SLICES, HAZE_EXTINCTION_SLICES, air_path, elevation_place, azimuth_place, cos_azimuth, distance_place, row_place, texel_place, phase_rayleigh_per_sr}
 #import skycell::phase::phase_hg_per_sr
 
 // The air's tables as a composite reads them. They are made for an altitude; every viewer there shares them, whichever
@@ -56,7 +56,7 @@ fn air_view(radius_m: f32, altitude_m: f32, mu: f32, mu_sun: f32, angle: f32, on
     view.row = row_place(elevation, HAZE_SKY_ROWS, HAZE_GROUND_ROWS, on_ground);
     view.start_m = path.start_m;
     view.length_m = max(path.end_m - path.start_m, 0.0);
-    let last = vec2f(texel_place(1.0, HAZE_SLICES), view.row);
+    let last = vec2f(texel_place(1.0, HAZE_EXTINCTION_SLICES), view.row);
     let extinction = textureSampleLevel(extinction_table, air_sampler, last, 0.0).xyz;
     view.transmittance = exp(-extinction * view.length_m);
     return view;
@@ -65,8 +65,8 @@ fn air_view(radius_m: f32, altitude_m: f32, mu: f32, mu_sun: f32, angle: f32, on
 /// The air along a direction as far as a distance from the eye.
 fn haze_until(view: AirView, distance_m: f32) -> Haze {
     let share = (distance_m - view.start_m) / max(view.length_m, 1.0);
-    let place = texel_place(distance_place(share, view.on_ground), HAZE_SLICES);
-    let source = textureSampleLevel(source_table, air_sampler, vec3f(view.azimuth, view.row, place), 0.0).xyz;
-    let extinction = textureSampleLevel(extinction_table, air_sampler, vec2f(place, view.row), 0.0).xyz;
+    let place = distance_place(share, view.on_ground);
+    let source = textureSampleLevel(source_table, air_sampler, vec3f(view.azimuth, view.row, texel_place(place, HAZE_SLICES)), 0.0).xyz;
+    let extinction = textureSampleLevel(extinction_table, air_sampler, vec2f(texel_place(place, HAZE_EXTINCTION_SLICES), view.row), 0.0).xyz;
     return Haze(extinction, source * view.mixed_phase_per_sr, view.start_m);
 }

@@ -6,8 +6,11 @@ use super::stage::{
 };
 use glam::DVec3;
 use serde_json::{Value, json};
+use skycell_protocol::{Moment, Scene};
 use skycell_server::march::MarchSettings;
 use skycell_tests::numbers::U;
+
+const NOW: &str = "2026-06-21T12:00:00Z";
 
 fn full(name: &str, base_m: f64, top_m: f64, extinction_per_m: f64, albedo: f64) -> Value {
     json!({"name": name, "base_altitude_m": base_m, "top_altitude_m": top_m, "extinction_per_m": extinction_per_m,
@@ -51,6 +54,34 @@ pub(crate) fn any(stage: &mut Stage) -> Line {
     ));
     let picture = stage.look(up(), small(), SCREEN);
     line.picture("one ulp of f32 thick", &picture);
+
+    // A layer that fills everything is as thick as it is, however far wind has carried it.
+    for east_m in [0.0, 1e12] {
+        let scene = slab(
+            json!({"layers": [full("all", 1000.0, 2000.0, 1e-3, 1.0)], "time": {"epoch": NOW},
+            "drift": {"since": NOW, "layers_m": {"all": [east_m, 0.0, -east_m]}}}),
+        );
+        let now = Moment::parse(NOW, "now").expect("a moment");
+        stage.show(Scene::from_json(&scene).expect("valid").at(now));
+        let found = stage.rays(
+            DVec3::ZERO,
+            vec![
+                ray([0.0; 3], [0.0, 1.0, 0.0]),
+                ray([0.0; 3], [0.0, 0.5, 0.75f64.sqrt()]),
+            ],
+            MarchSettings::plain(25),
+        );
+        // Straight up by whole steps; at a slant the last one goes beyond the layer.
+        let exact = [(1.0, 64.0 * U), (2.0, 2.0 / 25.0)];
+        for (found, (depth, bound)) in found.layers[0].iter().zip(exact) {
+            line.case();
+            line.holds(
+                format!("carried by {east_m} m: an optical depth of {depth}"),
+                (f64::from(found.optical_depth) - depth).abs(),
+                bound,
+            );
+        }
+    }
 
     // Layers in one another and of all alike: transmittances multiply.
     for count in [2, 3, 4u32] {

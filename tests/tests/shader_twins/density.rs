@@ -8,7 +8,10 @@ use super::support::{SceneProbe, judge, noise_dir};
 use glam::DVec3;
 use serde_json::{Value, json};
 use skycell_protocol::Scene;
-use skycell_reference::LayerField;
+use skycell_protocol::scene::{CloudForm, WeatherProfile};
+use skycell_reference::density::profile::vertical_profile;
+use skycell_reference::density::weather::Weather;
+use skycell_reference::{LayerField, Medium, WorldLayer};
 use skycell_server::probe::{FieldPoint, FieldQuestion};
 use skycell_server::truth::reference_field;
 use skycell_tests::numbers::{Random, U, wide, worst};
@@ -98,6 +101,203 @@ fn weather_densities_are_those_of_places_a_centimetre_away() {
             points.len(),
             check(false, smooth),
             check(true, smooth),
+        );
+    }
+}
+
+/// Places in and around a layer, up to 60 km away; every weight of the detail.
+fn places_in(base_m: f64, top_m: f64, count: usize) -> Vec<FieldPoint> {
+    let mut random = Random(17);
+    (0..count)
+        .map(|_| {
+            let altitude_m = random.between(base_m, top_m);
+            let (x, z) = (random.between(-6e4, 6e4), random.between(-6e4, 6e4));
+            let y = altitude_m - (x * x + z * z) / (2.0 * 6_360_000.0);
+            let weight = random.one_of(&[0.0, 0.5, 1.0]);
+            [
+                [x as f32, y as f32, z as f32, weight as f32],
+                [0.0; 4],
+                [0.0; 4],
+                [0.0; 4],
+            ]
+        })
+        .collect()
+}
+
+/// Low clouds of a type: its span, and its layer.
+fn of_type(cloud_type: f64, span_m: f64, [base_m, top_m]: [f64; 2]) -> Value {
+    json!({"version": 1, "layers": [{"base_altitude_m": base_m, "top_altitude_m": top_m, "density": {"model": "weather",
+        "coverage": 0.7, "type": cloud_type, "map_span_m": span_m, "shape_period_m": 5000, "detail_period_m": 700,
+        "detail_strength": 0.4}}]})
+}
+
+/// Heaps (type 1/2), anvils (1), and a type between their knots.
+const TYPES: [(f64, f64, [f64; 2]); 3] = [
+    (0.5, 40_000.0, [1_500.0, 4_000.0]),
+    (0.9, 100_000.0, [1_000.0, 9_000.0]),
+    (1.0, 200_000.0, [800.0, 11_000.0]),
+];
+
+#[test]
+fn clouds_of_a_type_have_its_form() {
+    for (cloud_type, span_m, heights_m) in TYPES {
+        let probe = SceneProbe::open(&of_type(cloud_type, span_m, heights_m), true);
+        let points = places_in(heights_m[0], heights_m[1], 12_000);
+        let values = probe.ask(FieldQuestion::Density, &points);
+        let layer = probe.world.layers()[0];
+        let Medium::Weather(weather) = layer.medium else {
+            panic!("a weather layer");
+        };
+        let check = |form: CloudForm| {
+            let layer = WorldLayer {
+                medium: Medium::Weather(Weather { form, ..weather }),
+                ..layer
+            };
+            worst(points.iter().zip(&values).map(|(point, value)| {
+                let position = DVec3::from_array(wide(point[0]));
+                let weight = f64::from(point[0][3]);
+                let twin = |at: DVec3| probe.world.density(&layer, at, weight);
+                let error = (f64::from(value[0][0]) - twin(position)).abs();
+                let reach_m = 8.0 * U * (position.abs().max_element() + span_m);
+                (
+                    error,
+                    2.0 * moves(twin, position, reach_m) + 60.0 * form.steepness * U,
+                )
+            }))
+        };
+        let form = weather.form;
+        // Planted: each number of the form a little aside.
+        for (number, defect) in [
+            (
+                "threshold",
+                CloudForm {
+                    shape_floor: form.shape_floor + 0.01,
+                    ..form
+                },
+            ),
+            (
+                "range",
+                CloudForm {
+                    shape_range: form.shape_range + 0.01,
+                    ..form
+                },
+            ),
+            (
+                "steepness",
+                CloudForm {
+                    steepness: form.steepness * 1.01,
+                    ..form
+                },
+            ),
+            (
+                "dome",
+                CloudForm {
+                    dome: form.dome + 0.01,
+                    ..form
+                },
+            ),
+            (
+                "wispiness",
+                CloudForm {
+                    wispiness: form.wispiness + 0.01,
+                    ..form
+                },
+            ),
+            (
+                "spread of the type",
+                CloudForm {
+                    type_spread: form.type_spread + 0.01,
+                    ..form
+                },
+            ),
+        ] {
+            judge(
+                &format!("type {cloud_type}: {number}"),
+                points.len(),
+                check(form),
+                check(defect),
+            );
+        }
+    }
+}
+
+#[test]
+fn a_cloud_begins_where_coverage_times_profile_reaches_the_threshold_of_its_noise() {
+    // From what the device says of map, height and density alone: no noise lets cloud stand below the least threshold that
+    // its form allows, and where noise has its mean, that is the form's threshold.
+    for (cloud_type, span_m, heights_m) in TYPES {
+        let probe = SceneProbe::open(&of_type(cloud_type, span_m, heights_m), true);
+        let points = places_in(heights_m[0], heights_m[1], 24_000);
+        let values = probe.ask(FieldQuestion::Density, &points);
+        let form = CloudForm::of(WeatherProfile::Low, cloud_type);
+        let least = 1.0 - form.shape_floor - form.shape_range;
+        let most = 1.0 - form.shape_floor;
+        let check = |moved: f64| {
+            worst(values.iter().map(|value| {
+                let [density, smooth, _, profile] = value[0].map(f64::from);
+                // Solid above all thresholds, but for what detail takes away (0.4, half of it in the mean) and the surface's
+                // softness; nothing below the least.
+                let below = density.max(smooth) * f64::from(u8::from(profile < least + moved));
+                let solid = most + 0.2 + 1.0 / form.steepness;
+                let above = (1.0 - smooth) * f64::from(u8::from(profile > solid - moved - 1e-5));
+                (below.max(above), 1e-5)
+            }))
+        };
+        judge(
+            &format!("type {cloud_type}: where cloud begins"),
+            points.len(),
+            check(0.0),
+            check(0.2),
+        );
+    }
+}
+
+#[test]
+fn clouds_keep_the_share_of_their_coverage_that_their_height_and_type_have_in_closed_form() {
+    for (cloud_type, span_m, heights_m) in TYPES {
+        let probe = SceneProbe::open(&of_type(cloud_type, span_m, heights_m), true);
+        let points = places_in(heights_m[0], heights_m[1], 12_000);
+        let values = probe.ask(FieldQuestion::Density, &points);
+        let Medium::Weather(weather) = probe.world.layers()[0].medium else {
+            panic!("a weather layer");
+        };
+        let check = |closed_form: &dyn Fn(f64, f64) -> f64| {
+            worst(values.iter().map(|value| {
+                let profile = f64::from(value[0][3]);
+                let [map, type_map, _, height] = value[1].map(f64::from);
+                let coverage = weather.coverage_from_map(map);
+                let local_type = weather.domed_type(type_map, coverage).clamp(0.0, 1.0);
+                let exact = coverage * closed_form(local_type, height);
+                // The table's digits, and what lies between its texels of 1/128 and 1/64: an eighth of the second difference
+                // where it is smooth, and all of the first at a kink.
+                let apart = |dt: f64, dh: f64| {
+                    let at = |sign: f64| {
+                        closed_form(
+                            (local_type + sign * dt).clamp(0.0, 1.0),
+                            (height + sign * dh).clamp(0.0, 1.0),
+                        )
+                    };
+                    let here = closed_form(local_type, height);
+                    (at(1.0) - here).abs().max((at(-1.0) - here).abs())
+                };
+                let bound =
+                    0.5 / 255.0 + 1e-5 + 0.5 * (apart(1.0 / 64.0, 0.0) + apart(0.0, 1.0 / 128.0));
+                ((profile - exact).abs(), bound)
+            }))
+        };
+        // Planted: towers without anvils, or at heaps a top that rises with the type itself.
+        let planted = |local_type: f64, height: f64| {
+            if cloud_type < 0.85 {
+                vertical_profile(WeatherProfile::Low, local_type * local_type, height)
+            } else {
+                vertical_profile(WeatherProfile::Low, local_type.min(0.84), height)
+            }
+        };
+        judge(
+            &format!("type {cloud_type}: profile"),
+            points.len(),
+            check(&|t, h| vertical_profile(WeatherProfile::Low, t, h)),
+            check(&planted),
         );
     }
 }

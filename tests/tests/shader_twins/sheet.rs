@@ -77,18 +77,17 @@ fn sheets_are_as_dense_as_at_places_a_few_centimetres_away() {
 }
 
 #[test]
-fn a_sheets_depth_towards_the_sun_is_that_of_its_slab() {
+fn a_sheets_depth_towards_the_sun_is_summed_along_the_way_there() {
     for elevation_deg in [90.0, 40.0, 3.0, -1.0] {
         let probe = SceneProbe::open(&sheet(elevation_deg), true);
         let points = places(10_000);
         let values = probe.ask(FieldQuestion::SunOpticalDepth, &points);
         let layer = &probe.world.layers()[0];
+        let sun_steps = probe.world.scene().light().sun_steps();
         let check = |factor: f64| {
             worst(points.iter().zip(&values).map(|(point, value)| {
                 let position = DVec3::from_array(wide(point[0]));
-                let depth = |at: DVec3| {
-                    sheet_sun_depth(&probe.world, layer, at, probe.world.density(layer, at, 1.0))
-                };
+                let depth = |at: DVec3| sheet_sun_depth(&probe.world, layer, at, sun_steps);
                 let exact = depth(position);
                 // The altitude of a place 100 km away is known to some centimetres, as is the place.
                 let moved = moves(depth, position, reach_m(position));

@@ -220,7 +220,7 @@ pub fn gather_layer(
     settings: &MarchSteps,
 ) -> (LayerGathered, u64) {
     if let Medium::Sheet(_) = layer.medium {
-        return super::sheet::gather_sheet(world, layer, ray, settings.start_fraction);
+        return super::sheet::gather_sheet(world, layer, ray, settings);
     }
     let mut gathering = Gathering::new(world, layer, ray);
     let passed = each_lit_sample(
