@@ -215,6 +215,8 @@ impl StillRenderer {
             altitude_m: altitude_m as f32,
             ..renderer.view_of(viewer).ok_or_else(gone)?
         };
+        // Light shafts are seen from one place, too.
+        renderer.shafts.eye = list.rays.first().map(|ray| ray.origin_m);
         let viewer = renderer.viewers.get_mut(&VIEWER).ok_or_else(gone)?;
         viewer.screen_space = Some(ScreenSpaceJob::new(marched, view));
         self.march_all(true, progress)?;
@@ -361,6 +363,7 @@ impl StillRenderer {
         settings: &StillSettings,
         mut progress: impl FnMut(f64),
     ) -> Result<(), GpuError> {
+        self.renderer.make_light_shafts(BATCH_TILES)?;
         let frames = settings.frames.max(1);
         for frame in 0..frames {
             let left = f64::from((frames - frame).saturating_sub(settings.resting_frames.max(1)));
@@ -389,6 +392,7 @@ impl StillRenderer {
         while renderer.update_sun_volumes(BATCH_TILES) {
             renderer.gpu.wait()?;
         }
+        renderer.make_light_shafts(BATCH_TILES)?;
         if screen_space {
             let samples = f64::from(renderer.caches.samples());
             let mut done = 0.0;
@@ -440,14 +444,15 @@ impl StillRenderer {
         Ok((display, linear))
     }
 
-    /// GPU time of the cache, of composites, of the screen-space renderer and of sun volumes so far, ns.
+    /// GPU time of the cache, of composites, of the screen-space renderer, of sun volumes and of light shafts so far, ns.
     #[must_use]
-    pub fn gpu_times_ns(&self) -> [u64; 4] {
+    pub fn gpu_times_ns(&self) -> [u64; 5] {
         [
             TimedPass::Cache,
             TimedPass::Composite,
             TimedPass::ScreenSpace,
             TimedPass::SunVolume,
+            TimedPass::LightShafts,
         ]
         .map(|pass| self.renderer.gpu_time(pass).0)
     }
@@ -483,6 +488,7 @@ impl Start {
         renderer.settings = settings.march;
         // Each picture pays for its own.
         renderer.sun.clear();
+        renderer.shafts.clear();
         renderer.caches.set_samples(settings.samples);
         renderer.mip_bias = f64::from(settings.mip_bias);
         renderer.window_choice = WindowChoice::Fixed(settings.window);

@@ -179,7 +179,7 @@ pub(super) fn run(
     }
     let totals = still.totals();
     if arguments.json {
-        let [cache_ns, composite_ns, screen_space_ns, _] = still.gpu_times_ns();
+        let [cache_ns, composite_ns, screen_space_ns, ..] = still.gpu_times_ns();
         let told = json!({
             "out": arguments.out, "adapter": still.adapter(), "wall_s": figures.wall_s,
             "marches": figures.marches, "sun_volume_evaluations_of_picture": figures.sun_volume_evaluations, "texture_reads": figures.texture_reads,
