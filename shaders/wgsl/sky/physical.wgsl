@@ -103,17 +103,14 @@ fn shaded_view(view: AirView, direction: vec3f) -> AirView {
     var shaded = view;
     let frame = shaft_frame;
     shaded.shafts = vec2f(shaft_azimuth_place(frame, direction), texel_of(angle_from_sun(frame, direction) / 3.141592653589793, SHAFT_ANGLES));
-    if view.on_ground {
-        let slice = slice_place(frame, view.length_m);
-        let share = shaft_share(shaded, slice);
-        // The haze in front of the ground, of the table without shadow.
-        let last = texel_place(1.0, HAZE_SLICES);
-        let source = textureSampleLevel(source_table, air_sampler, vec3f(view.azimuth, view.row, last), 0.0).xyz;
-        let added = source * view.mixed_phase_per_sr * (1.0 - view.transmittance);
-        shaded.radiance_per_sr = max(view.radiance_per_sr - (1.0 - share) * added, vec3f(0.0));
-    } else {
-        shaded.radiance_per_sr = view.radiance_per_sr * shaft_share(shaded, 1.0);
-    }
+    let share = shaft_share(shaded, select(1.0, slice_place(frame, view.length_m), view.on_ground));
+    // The haze in front of the ground, of the table without shadow. No branch: the software driver of Mesa 22 crashes over
+    // one whose condition holds a uniform.
+    let last = texel_place(1.0, HAZE_SLICES);
+    let source = textureSampleLevel(source_table, air_sampler, vec3f(view.azimuth, view.row, last), 0.0).xyz;
+    let added = source * view.mixed_phase_per_sr * (1.0 - view.transmittance);
+    let scattered = select(view.radiance_per_sr, added, view.on_ground);
+    shaded.radiance_per_sr = max(view.radiance_per_sr - (1.0 - share) * scattered, vec3f(0.0));
     return shaded;
 }
 #endif
