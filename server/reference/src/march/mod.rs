@@ -3,6 +3,7 @@
 mod blend;
 mod converged;
 mod layer;
+mod shade;
 mod sheet;
 
 pub use converged::{ConvergeLimit, Converged, converged_ray};
@@ -10,6 +11,7 @@ pub use layer::{
     LitRay, MarchSteps, detail_weight, gather_layer, lit_ray, optical_depth_towards,
     sun_optical_depth,
 };
+pub use shade::{shaded_background, sunlit_share};
 pub use sheet::sheet_sun_depth;
 
 use crate::{Ray, RayResult, World};
