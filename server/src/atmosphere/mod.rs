@@ -19,7 +19,7 @@ pub use keeper::AirKeeper;
 pub use light::AirLight;
 pub use medium::Medium;
 pub use shafts::{
-    LightShafts, ShaftInputs, ShaftLayer, ShaftReader, ShaftsRead, blank_shafts, cloud_shadows_key,
-    make_shafts_key,
+    LightShafts, ShaftInputs, ShaftLayer, ShaftReader, ShaftShares, ShaftsRead, blank_shafts,
+    cloud_shadows_key, make_shafts_key,
 };
 pub use views::{AirViews, key_of_altitude, table_keys};

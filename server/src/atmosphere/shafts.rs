@@ -2,8 +2,11 @@
 //! the share that it leaves. Both are made in strips of half-planes about the line towards the sun, the second beside the
 //! one that is read.
 
-use crate::gpu::{Gpu, PipelineKey, Pipelines, TimedPass, TimingRing};
+use crate::gpu::{
+    Gpu, GpuError, PipelineKey, Pipelines, TimedPass, TimingRing, read_buffer_blocking,
+};
 use glam::DVec3;
+use half::f16;
 use skycell_shaders::{Features, Kernel, layout};
 
 /// Size of the table of shares, as in `sky/shafts.wgsl`: half-planes, angles from the sun, distances.
@@ -178,6 +181,8 @@ fn shares_texture(gpu: &Gpu, size: [u32; 3]) -> wgpu::Texture {
 #[derive(Debug)]
 struct Table {
     texture: wgpu::Texture,
+    /// Of what it is.
+    made: layout::ShaftFrame,
     reader: ShaftReader,
 }
 
@@ -199,6 +204,57 @@ pub struct ShaftsRead<'a> {
     pub field: &'a wgpu::BindGroup,
     /// The air's tables, with [`LightShafts::air`] filled.
     pub air: &'a wgpu::BindGroup,
+}
+
+/// A table of shares on the processor.
+#[derive(Clone, Debug)]
+pub struct ShaftShares {
+    frame: layout::ShaftFrame,
+    /// Half-plane by half-plane, then by angle, then by distance.
+    shares: Vec<[f32; 3]>,
+}
+
+impl ShaftShares {
+    /// All of them: red, green and blue.
+    #[must_use]
+    pub fn all(&self) -> &[[f32; 3]] {
+        &self.shares
+    }
+
+    /// What is left of the light of the air along a direction of the cell's frame as far as a distance, interpolated as the
+    /// composite does; with a distance without end, of all the air.
+    #[must_use]
+    pub fn at(&self, direction: DVec3, distance_m: f64) -> DVec3 {
+        let v = |v: [f32; 3]| glam::Vec3::from_array(v).as_dvec3();
+        let (sun, right, up) = (v(self.frame.sun), v(self.frame.right), v(self.frame.up));
+        let turn = direction.dot(up).atan2(direction.dot(right)) / std::f64::consts::TAU;
+        let angle = direction.cross(sun).length().atan2(direction.dot(sun));
+        let scale_m = f64::from(self.frame.distance_scale_m);
+        let slice = if distance_m.is_finite() {
+            distance_m / (distance_m + scale_m)
+        } else {
+            1.0
+        };
+        let [azimuths, angles, slices] = SHARE_SIZE.map(|n| n as usize);
+        let azimuth = (turn * azimuths as f64).rem_euclid(azimuths as f64);
+        let angle = angle / std::f64::consts::PI * (angles - 1) as f64;
+        let slice = slice * (slices - 1) as f64;
+        let mut sum = DVec3::ZERO;
+        for corner in 0..8usize {
+            let part = |at: f64, bit: usize| {
+                let upper = corner >> bit & 1 == 1;
+                let share = at - at.floor();
+                (
+                    at.floor() as usize + usize::from(upper),
+                    if upper { share } else { 1.0 - share },
+                )
+            };
+            let [(i, a), (j, b), (k, c)] = [part(azimuth, 0), part(angle, 1), part(slice, 2)];
+            let (i, j, k) = (i % azimuths, j.min(angles - 1), k.min(slices - 1));
+            sum += a * b * c * v(self.shares[(k * angles + j) * azimuths + i]);
+        }
+        sum
+    }
 }
 
 /// The light shafts around a place.
@@ -237,6 +293,7 @@ impl LightShafts {
                     sampler: sampler.clone(),
                 },
                 texture,
+                made: layout::ShaftFrame::default(),
             }
         });
         let shadow_work = gpu.uniform_buffer("cloud shadows", size_of::<layout::ShadowWork>());
@@ -290,10 +347,43 @@ impl LightShafts {
         self.front.map(|front| &self.tables[front].reader)
     }
 
-    /// The table that is read: half-planes, angles and distances, four half floats each.
-    #[must_use]
-    pub fn shares(&self) -> Option<&wgpu::Texture> {
-        self.front.map(|front| &self.tables[front].texture)
+    /// What is read, brought to the processor: for tests. Waits for the device.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn shares_blocking(&self, gpu: &Gpu) -> Result<Option<ShaftShares>, GpuError> {
+        let Some(table) = self.front.map(|front| &self.tables[front]) else {
+            return Ok(None);
+        };
+        let [width, height, depth] = SHARE_SIZE;
+        let usage = wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST;
+        let bytes = 8 * u64::from(width) * u64::from(height) * u64::from(depth);
+        let buffer = gpu.buffer("light shafts' copy", bytes, usage);
+        let mut encoder = gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor { label: None });
+        encoder.copy_texture_to_buffer(
+            table.texture.as_image_copy(),
+            wgpu::TexelCopyBufferInfo {
+                buffer: &buffer,
+                layout: wgpu::TexelCopyBufferLayout {
+                    offset: 0,
+                    bytes_per_row: Some(8 * width),
+                    rows_per_image: Some(height),
+                },
+            },
+            table.texture.size(),
+        );
+        gpu.queue.submit([encoder.finish()]);
+        let words: Vec<u16> = bytemuck::pod_collect_to_vec(&read_buffer_blocking(gpu, &buffer)?);
+        let shares = words
+            .chunks_exact(4)
+            .map(|half| [0, 1, 2].map(|channel| f16::from_bits(half[channel]).to_f32()))
+            .collect();
+        Ok(Some(ShaftShares {
+            shares,
+            frame: table.made,
+        }))
     }
 
     /// Whether a table is being made.
@@ -381,6 +471,7 @@ impl LightShafts {
             let frame = &self.tables[back].reader.frame;
             gpu.queue
                 .write_buffer(frame, 0, bytemuck::bytes_of(&build.frame));
+            self.tables[back].made = build.frame;
             self.front = Some(back);
         } else {
             self.build = Some(build);

@@ -297,3 +297,106 @@ impl SkyRenderer {
         ns as f64 * 1e-9 * evaluations as f64 / (units as f64).max(1.0)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::RenderConfig;
+    use crate::frame_loop::interface::ViewRequest;
+    use crate::gpu::Gpu;
+    use serde_json::json;
+    use skycell_protocol::{Camera, Codec, FrameSize, RendererKind, Scene, Show, ViewerId};
+    use std::path::PathBuf;
+
+    fn scene(light_shafts: bool, elevation_deg: f64) -> Arc<Scene> {
+        let document = json!({"version": 1, "sun": {"elevation_deg": elevation_deg},
+            "wind": {"speed_m_per_s": 5},
+            "layers": [{"density": {"model": "homogeneous"}}],
+            "atmosphere": {"model": "physical", "light_shafts": light_shafts}});
+        Arc::new(Scene::from_json(&document).expect("a scene"))
+    }
+
+    fn renderer() -> SkyRenderer {
+        let noise = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/noise-of-tests");
+        let config = RenderConfig::new(PathBuf::from(noise));
+        let gpu = Gpu::open_blocking().expect("a device");
+        let mut renderer =
+            SkyRenderer::new(gpu, config, scene(true, 40.0), 1, &[]).expect("a renderer");
+        renderer.join(
+            ViewerId(1),
+            ViewRequest {
+                size: FrameSize::new(64, 36).expect("a size"),
+                fps: 1.0,
+                codec: Codec::Png,
+                jpeg_quality: 100,
+                camera: Camera::new([0.0, 2.0, 0.0], 0.0, 25.0, 60.0).expect("a camera"),
+                renderer: RendererKind::Cached,
+                quality: None,
+                show: Show::Picture,
+            },
+        );
+        renderer.refresh_cells();
+        renderer
+    }
+
+    /// Evaluations of the turns in which a table is made, and how many tables became whole.
+    fn made(renderer: &mut SkyRenderer) -> (Vec<u64>, u64) {
+        let before = renderer.shafts.tables;
+        let mut turns = Vec::new();
+        loop {
+            let progress = renderer.update_light_shafts(8);
+            if progress.evaluations > 0 {
+                turns.push(progress.evaluations);
+            }
+            if !progress.is_pending {
+                return (turns, renderer.shafts.tables - before);
+            }
+        }
+    }
+
+    #[test]
+    fn a_table_is_made_in_strips_rests_with_the_sky_and_goes_with_the_option() {
+        let mut renderer = renderer();
+        let (turns, tables) = made(&mut renderer);
+        let whole: u64 = turns.iter().sum();
+        assert_eq!(tables, 1);
+        assert!(turns.len() > 8, "{turns:?}");
+        let most = 8 * EVALUATIONS_PER_TILE;
+        assert!(turns.iter().all(|turn| *turn <= most), "{turns:?}");
+        let submissions = renderer.counters.submissions;
+        for _ in 0..20 {
+            assert_eq!(made(&mut renderer), (vec![], 0), "a sky at rest");
+        }
+        assert_eq!(renderer.counters.submissions, submissions);
+        // Half a metre of wind is not seen, ten metres are; the table that is there serves meanwhile, and strips are smaller.
+        renderer.advance_time(0.1);
+        assert_eq!(made(&mut renderer), (vec![], 0));
+        renderer.advance_time(2.0);
+        assert!(renderer.update_light_shafts(8).is_pending);
+        let id = *renderer.active_cells.keys().next().expect("a cell");
+        assert!(
+            renderer
+                .shafts
+                .of(id)
+                .and_then(LightShafts::reader)
+                .is_some()
+        );
+        let (turns, tables) = made(&mut renderer);
+        assert_eq!(tables, 1);
+        assert!(
+            turns.iter().all(|turn| *turn <= most / UPDATE_SHARE),
+            "{turns:?}"
+        );
+        // The sun by half a degree.
+        renderer.set_scene(scene(true, 40.5), 2).expect("a scene");
+        renderer.refresh_cells();
+        let (turns, tables) = made(&mut renderer);
+        assert_eq!((turns.iter().sum::<u64>(), tables), (whole, 1));
+        assert!(renderer.shafts.bytes() > 0);
+        renderer.set_scene(scene(false, 40.5), 3).expect("a scene");
+        renderer.refresh_cells();
+        assert_eq!(made(&mut renderer), (vec![], 0));
+        assert_eq!(renderer.shafts.bytes(), 0);
+        assert!(renderer.shaft_reader(id).is_none());
+    }
+}

@@ -5,6 +5,7 @@ use super::renderer::SkyRenderer;
 use super::screen_space::{ScreenSpaceJob, WindowChoice};
 use super::still_settings::{LayerFigures, RayFigures, RayPicture};
 use super::still_settings::{StillFigures, StillPicture, StillSettings};
+use crate::atmosphere::ShaftShares;
 use crate::cells::{CellLimit, Cells};
 use crate::composite::{Picture, composite_key, ground_key, shown_of};
 use crate::config::{PlacedCell, RenderConfig};
@@ -99,6 +100,19 @@ impl StillRenderer {
     /// When a kernel does not compose.
     pub fn reads(&self) -> Result<BTreeMap<&'static str, BTreeSet<String>>, GpuError> {
         reads_of(&self.renderer.pipelines)
+    }
+
+    /// The light shafts of the last picture, brought to the processor: for tests. None where it had none.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn light_shafts(&self) -> Result<Option<ShaftShares>, GpuError> {
+        let renderer = &self.renderer;
+        let cell = renderer.viewers.get(&VIEWER).map(|viewer| viewer.cell);
+        match cell.and_then(|cell| renderer.shafts.of(cell)) {
+            Some(shafts) => shafts.shares_blocking(&renderer.gpu),
+            None => Ok(None),
+        }
     }
 
     /// The scene.
