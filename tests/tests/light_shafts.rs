@@ -9,6 +9,7 @@ use skycell_reference::{Approximations, Ray, World};
 use skycell_server::atmosphere::ShaftShares;
 use skycell_server::config::RenderConfig;
 use skycell_server::frame_loop::{RayPicture, StillRay, StillRenderer, StillSettings};
+use skycell_server::march::MarchSettings;
 use skycell_server::truth::reference_world;
 use skycell_shaders::SourceEdit;
 use skycell_tests::numbers::Random;
@@ -37,7 +38,7 @@ fn still(scene: &Arc<Scene>) -> StillRenderer {
 
 fn world(scene: &Scene) -> World {
     let noise = target_dir().expect("a folder").join("noise-of-tests");
-    let all = Approximations::default();
+    let all = Approximations::ALL;
     reference_world(scene, &noise, Path::new("."), 0.0, DVec3::ZERO, all).expect("a world")
 }
 
@@ -55,8 +56,16 @@ fn radiance(still: &mut StillRenderer, rays: &[Ray]) -> Vec<DVec3> {
             })
             .collect(),
     };
+    // A sampler's weights have few bits, and along a beam through thin cloud what they lack adds up.
+    let settings = StillSettings {
+        march: MarchSettings {
+            exact_interpolation: true,
+            ..MarchSettings::default()
+        },
+        ..StillSettings::default()
+    };
     still
-        .render_rays(&list, &StillSettings::default(), |_| {})
+        .render_rays(&list, &settings, |_| {})
         .expect("a picture")
         .radiance
         .into_iter()
@@ -114,14 +123,13 @@ fn share_errors(
     still: &mut StillRenderer,
     document: &Value,
     altitude_m: f64,
-    count: usize,
+    (count, lowest): (usize, f64),
 ) -> Vec<f64> {
     let scene = scene(document);
     still.set_scene(scene.clone()).expect("a scene");
     let table = table(still, altitude_m);
     let world = world(&scene);
-    // Distances that a ray which ends on the ground has, too.
-    let directions = directions(count, -0.02);
+    let directions = directions(count, lowest);
     let errors_of = |directions: &[DVec3]| -> Vec<f64> {
         let mut errors = Vec::new();
         for direction in directions {
@@ -175,42 +183,42 @@ fn broken() -> Value {
 fn shares_are_those_of_the_f64_integral() {
     let mut still = still(&scene(&document(35.0, boxes())));
     // Median, 95th percentile and largest error: absolute, of a share of 0 to 1.
-    for (what, elevation_deg, layers, altitude_m, count, bounds) in [
+    for (what, elevation_deg, layers, [altitude_m, lowest], count, bounds) in [
         (
             "boxes, high sun",
             35.0,
             boxes(),
-            2.0,
+            [2.0, -0.02],
             120,
-            [0.002, 0.01, 0.08],
+            [0.002, 0.006, 0.03],
         ),
         (
             "boxes, low sun",
             6.0,
             boxes(),
-            2.0,
+            [2.0, -0.02],
             120,
-            [0.002, 0.02, 0.15],
+            [0.002, 0.012, 0.08],
         ),
         (
-            "boxes, from between",
+            "boxes, from above one",
             35.0,
             boxes(),
-            2_400.0,
-            60,
-            [0.002, 0.02, 0.15],
+            [1_900.0, -0.8],
+            80,
+            [0.002, 0.02, 0.08],
         ),
         (
             "broken cumulus",
             35.0,
             broken(),
-            2.0,
+            [2.0, -0.02],
             24,
-            [0.004, 0.03, 0.15],
+            [0.002, 0.02, 0.06],
         ),
     ] {
         let document = document(elevation_deg, layers);
-        let errors = share_errors(&mut still, &document, altitude_m, count);
+        let errors = share_errors(&mut still, &document, altitude_m, (count, lowest));
         let found = [0.5, 0.95, 1.0].map(|share| percentile(&errors, share));
         println!(
             "{what}: p50 {:.4} p95 {:.4} worst {:.4}",
@@ -346,7 +354,7 @@ fn radiance_of_shaded_air_and_of_the_ground_behind_it_is_that_of_the_f64_integra
         found[0], found[1], found[2]
     );
     assert!(
-        found[0] < 0.004 && found[1] < 0.02 && found[2] < 0.1,
+        found[0] < 0.006 && found[1] < 0.012 && found[2] < 0.02,
         "{found:?}"
     );
 }
@@ -384,9 +392,9 @@ fn shares_lie_between_nothing_and_all_at_every_extreme() {
     for elevation_deg in [-90.0, -6.0, -0.5, 0.0, 0.3, 5.0, 90.0] {
         for (altitude_m, extinction_per_m) in [
             (-100.0, 0.05),
-            (2.0, 2e5),
+            (2.0, 1e3),
             (2_000.0, 1e-10),
-            (2_250.0, 2e5),
+            (2_250.0, 1e3),
             (12_000.0, 0.05),
             (400_000.0, 0.05),
         ] {
@@ -459,7 +467,7 @@ fn shaded_ground(path: &str, source: &str) -> String {
 fn planted_defects_are_found() {
     let mut still = still(&scene(&document(35.0, boxes())));
     let boxes_off = |still: &mut StillRenderer| {
-        let errors = share_errors(still, &document(35.0, boxes()), 2.0, 60);
+        let errors = share_errors(still, &document(35.0, boxes()), 2.0, (60, -0.02));
         percentile(&errors, 0.95)
     };
     for (what, edit) in [
@@ -474,6 +482,7 @@ fn planted_defects_are_found() {
     }
     still.plant(Some(all_shaded)).expect("a shader");
     let off = off_under_a_slab(&mut still, 4e-3, 55.0);
+    println!("all shaded, slab: {off:.4}");
     assert!(off > SLAB_BOUND, "{off}");
     still.plant(Some(shaded_ground)).expect("a shader");
     let errors = radiance_errors(&mut still);

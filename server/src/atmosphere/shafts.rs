@@ -17,9 +17,9 @@ const SHADOW_SIZE: [u32; 3] = [384, 256, 16];
 const SHARE_STEPS: u32 = 6 * SHARE_SIZE[2];
 /// Samples of density along a sunbeam stand no farther apart than this, m, as far as their number allows. Tuned:
 /// `light_shafts::shares_are_those_of_the_f64_integral`.
-const SHADOW_STEP_M: f64 = 150.0;
+const SHADOW_STEP_M: f64 = 50.0;
 /// Most samples between two altitudes.
-const SUBSTEPS_MAX: u32 = 8;
+const SUBSTEPS_MAX: u32 = 12;
 /// Distance by which half of the slices are used up, m, for eyes near the ground. Those far above look that far at least.
 const DISTANCE_SCALE_M: f64 = 8_000.0;
 /// Half-planes along a workgroup's side.
