@@ -274,7 +274,7 @@ fn off_under_a_slab(still: &mut StillRenderer, extinction_per_m: f64, elevation_
 
 /// The share along rays whose air lies as evenly under the slab as the interpolation of its table, a half float's digits and
 /// the change of the sun's way over 3 km allow.
-const SLAB_BOUND: f64 = 0.004;
+const SLAB_BOUND: f64 = 0.006;
 
 #[test]
 fn under_a_slab_over_everything_single_scattering_is_dimmed_by_its_transmittance() {
