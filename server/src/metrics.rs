@@ -167,6 +167,19 @@ fn describe() {
         "skycell_sun_volume_columns_total",
         "Columns of sun volumes made"
     );
+    describe_gauge!(
+        "skycell_light_shaft_bytes",
+        Unit::Bytes,
+        "GPU memory of light shafts"
+    );
+    describe_counter!(
+        "skycell_light_shaft_evaluations_total",
+        "Look-ups of density and steps through the air for light shafts"
+    );
+    describe_counter!(
+        "skycell_light_shaft_tables_total",
+        "Tables of light shafts made"
+    );
     describe_gauge!("skycell_scene_revision", "Revision of the rendered scene");
     describe_gauge!("skycell_cell_viewers", "Viewers of a view cell");
     describe_gauge!(
@@ -212,6 +225,7 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
         ("composite", totals.gpu_composite_ns),
         ("screen-space", totals.gpu_screen_space_ns),
         ("sun-volume", totals.gpu_sun_volume_ns),
+        ("light-shafts", totals.gpu_light_shaft_ns),
     ] {
         counter!("skycell_gpu_nanoseconds_total", "pass" => pass).absolute(time_ns);
     }
@@ -241,6 +255,9 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
     gauge!("skycell_sun_volume_bytes").set(totals.sun_volume_bytes as f64);
     counter!("skycell_sun_volume_evaluations_total").absolute(totals.sun_volume_evaluations);
     counter!("skycell_sun_volume_columns_total").absolute(totals.sun_volume_columns);
+    gauge!("skycell_light_shaft_bytes").set(totals.light_shaft_bytes as f64);
+    counter!("skycell_light_shaft_evaluations_total").absolute(totals.light_shaft_evaluations);
+    counter!("skycell_light_shaft_tables_total").absolute(totals.light_shaft_tables);
     gauge!("skycell_scene_revision").set(stats.scene_revision as f64);
     for cell in &stats.cells {
         let labels = [("cell", cell.id.to_string()), ("name", cell.name.clone())];

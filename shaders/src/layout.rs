@@ -33,6 +33,62 @@ macro_rules! gpu_struct {
 }
 
 gpu_struct! {
+    /// Where the half-planes of light shafts are counted from, and which way the sun stands.
+    ShaftFrame {
+        /// Unit vector towards the sun when the shadows were made.
+        sun: [f32; 3],
+        /// Altitude of the origin above the ground, m.
+        altitude_m: f32,
+        /// The half-plane with the azimuth 0, across the sun's direction.
+        right: [f32; 3],
+        /// Distance by which half of the slices are used up, m.
+        distance_scale_m: f32,
+        /// The half-plane a quarter turn on.
+        up: [f32; 3],
+        /// 1, or 0 where no shadow is known.
+        is_known: f32,
+        /// Where the half-planes meet, in the cell's frame, m.
+        origin: [f32; 3],
+        /// Fills to 16 bytes.
+        pad_origin: f32,
+    }
+}
+
+gpu_struct! {
+    /// Sunbeams of one layer whose shadow is made at once.
+    ShadowWork {
+        /// Where they stand.
+        frame: ShaftFrame,
+        /// First half-plane.
+        first_azimuth: u32,
+        /// How many.
+        azimuths: u32,
+        /// Place among the shown layers.
+        layer: u32,
+        /// Samples between two slices.
+        substeps: u32,
+    }
+}
+
+gpu_struct! {
+    /// Half-planes of the table of light shafts that are made at once.
+    ShaftWork {
+        /// Where they stand.
+        frame: ShaftFrame,
+        /// Base and top of the layers, m.
+        layers: [[f32; 4]; 4],
+        /// How many layers there are.
+        layer_count: u32,
+        /// First half-plane.
+        first_azimuth: u32,
+        /// How many.
+        azimuths: u32,
+        /// Fills to 16 bytes.
+        pad_work: u32,
+    }
+}
+
+gpu_struct! {
     /// The sphere on which the scene stands.
     Planet {
         /// Radius of the ground, m.

@@ -48,11 +48,15 @@ pub enum Kernel {
     MakeAirView,
     /// The haze's table for an altitude.
     MakeAirHaze,
+    /// The shadow that a layer throws into the air.
+    CloudShadows,
+    /// The table of light shafts for a place.
+    MakeLightShafts,
 }
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 14] = [
         Self::MarchTexels,
         Self::MarchPixels,
         Self::ResolveWindow,
@@ -65,6 +69,8 @@ impl Kernel {
         Self::BlendMaps,
         Self::MakeAirView,
         Self::MakeAirHaze,
+        Self::CloudShadows,
+        Self::MakeLightShafts,
     ];
 
     /// Name of the entry point.
@@ -83,6 +89,8 @@ impl Kernel {
             Self::BlendMaps => "blend_maps",
             Self::MakeAirView => "make_air_view",
             Self::MakeAirHaze => "make_air_haze",
+            Self::CloudShadows => "cloud_shadows",
+            Self::MakeLightShafts => "make_light_shafts",
         }
     }
 
@@ -126,6 +134,14 @@ impl Kernel {
             Self::MakeAirHaze => (
                 "sky/air_haze.wgsl",
                 include_str!("../wgsl/sky/air_haze.wgsl"),
+            ),
+            Self::CloudShadows => (
+                "march/cloud_shadows.wgsl",
+                include_str!("../wgsl/march/cloud_shadows.wgsl"),
+            ),
+            Self::MakeLightShafts => (
+                "sky/light_shafts.wgsl",
+                include_str!("../wgsl/sky/light_shafts.wgsl"),
             ),
         }
     }
@@ -198,6 +214,8 @@ pub struct Features {
     pub shown: Shown,
     /// The air is read from tables instead of being a closed formula (composite).
     pub physical_sky: bool,
+    /// Clouds throw their shadow into the air that is read from tables (composite).
+    pub light_shafts: bool,
     /// The scene has a moon (composite).
     pub moon: bool,
     /// The scene has stars (composite).
@@ -226,6 +244,7 @@ impl Default for Features {
             tone: Tone::Aces,
             shown: Shown::Picture,
             physical_sky: false,
+            light_shafts: false,
             moon: false,
             stars: false,
         }
@@ -263,6 +282,7 @@ impl Features {
                 tone: [Tone::Aces, Tone::Agx, Tone::Neutral][((bits + count) % 3) as usize],
                 shown: Shown::Picture,
                 physical_sky: (bits ^ count) & 1 != 0,
+                light_shafts: (bits ^ count) & 3 == 1,
                 moon: bits & 8 != 0,
                 stars: bits & 2 != 0,
             })
@@ -311,6 +331,7 @@ impl Features {
             ("TONE_AGX", self.tone == Tone::Agx),
             ("TONE_NEUTRAL", self.tone == Tone::Neutral),
             ("PHYSICAL_SKY", self.physical_sky),
+            ("LIGHT_SHAFTS", self.physical_sky && self.light_shafts),
             ("MOON", self.moon),
             ("STARS", self.stars),
             (
@@ -381,6 +402,7 @@ const MODULES: &[(&str, &str)] = &[
     ),
     ("sky/night.wgsl", include_str!("../wgsl/sky/night.wgsl")),
     ("sky/air.wgsl", include_str!("../wgsl/sky/air.wgsl")),
+    ("sky/shafts.wgsl", include_str!("../wgsl/sky/shafts.wgsl")),
     (
         "sky/air_march.wgsl",
         include_str!("../wgsl/sky/air_march.wgsl"),

@@ -117,6 +117,9 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::PageTable>(Kernel::Composite);
     check::<layout::View>(Kernel::Composite);
     check::<layout::Air>(Kernel::MakeAirView);
+    check::<layout::ShaftFrame>(Kernel::CloudShadows);
+    check::<layout::ShadowWork>(Kernel::CloudShadows);
+    check::<layout::ShaftWork>(Kernel::MakeLightShafts);
     check::<layout::ListedRay>(Kernel::MarchPixels);
     check::<layout::WindowSlice>(Kernel::ResolveWindow);
     check::<layout::Window>(Kernel::ResolveWindow);

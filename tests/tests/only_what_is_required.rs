@@ -225,3 +225,45 @@ fn only_a_sun_volume_that_is_asked_for_and_lit_stands_on_the_device() {
     assert!(inventory.has("sun volume"), "{inventory:?}");
     assert!(reads["march_pixels"].contains("sun_depths"), "{reads:?}");
 }
+
+#[test]
+fn only_a_scene_that_asks_for_light_shafts_has_them() {
+    let air = |shafts: bool| json!({"model": "physical", "light_shafts": shafts});
+    let names = ["light shafts", "light shafts' air", "cloud shadows"];
+    for (what, document, is_there) in [
+        (
+            "off",
+            json!({"version": 1, "atmosphere": air(false)}),
+            false,
+        ),
+        ("another sky", json!({"version": 1}), false),
+        (
+            "no cloud",
+            json!({"version": 1, "layers": [], "atmosphere": air(true)}),
+            false,
+        ),
+        ("on", json!({"version": 1, "atmosphere": air(true)}), true),
+    ] {
+        for kind in [RendererKind::Cached, RendererKind::ScreenSpace] {
+            let (inventory, reads) = rendered(&document, kind);
+            for name in names {
+                assert_eq!(
+                    inventory.has(name),
+                    is_there,
+                    "{what}, {name}: {inventory:?}"
+                );
+            }
+            assert_eq!(passes(&inventory, "light-shafts") > 0, is_there, "{what}");
+            for kernel in ["cloud_shadows", "make_light_shafts"] {
+                assert_eq!(reads.contains_key(kernel), is_there, "{what}: {reads:?}");
+            }
+            for name in ["shaft_table", "shaft_frame"] {
+                assert_eq!(
+                    reads["composite"].contains(name),
+                    is_there,
+                    "{what}: {reads:?}"
+                );
+            }
+        }
+    }
+}

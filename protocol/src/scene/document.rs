@@ -185,6 +185,8 @@ document! {
         "rayleigh_density" => rayleigh_density: f64 = 1.0,
         /// Ozone in Dobson units; the Earth has about 300.
         "ozone_dobson" => ozone_dobson: f64 = 300.0,
+        /// Whether clouds throw their shadow into the air: beams of light between them.
+        "light_shafts" => light_shafts: bool = false,
     }
 }
 

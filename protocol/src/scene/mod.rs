@@ -131,6 +131,12 @@ impl Scene {
         }
     }
 
+    /// Whether clouds throw their shadow into the air.
+    pub fn light_shafts(&self) -> bool {
+        self.physical_air()
+            .is_some_and(PhysicalAtmosphere::light_shafts)
+    }
+
     /// Shells that hold clouds, at most [`LAYERS_MAX`].
     pub fn layers(&self) -> &[CloudLayer] {
         &self.layers
@@ -192,6 +198,7 @@ impl TryFrom<SceneDocument> for Scene {
             ));
         }
         let timeline = Timeline::of(&document)?;
+        check_light_shafts(&document)?;
         Ok(Self {
             planet: Planet::try_from(document.planet).map_err(|e| e.under("/planet"))?,
             sun: Sun::try_from(document.sun).map_err(|e| e.under("/sun"))?,
@@ -216,6 +223,22 @@ impl TryFrom<SceneDocument> for Scene {
                 .transpose()?,
             timeline,
         })
+    }
+}
+
+/// Light shafts are shadows in air, and around a flat world there is none.
+fn check_light_shafts(document: &SceneDocument) -> Result<(), SceneError> {
+    match &document.atmosphere {
+        AtmosphereDocument::Physical(air)
+            if air.light_shafts && document.planet == PlanetChoice::Flat =>
+        {
+            Err(ValueError::new(
+                "/atmosphere/light_shafts",
+                &Value::from(true),
+                "false on a flat planet, which has no air around it",
+            ))
+        }
+        _ => Ok(()),
     }
 }
 

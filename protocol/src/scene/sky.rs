@@ -166,6 +166,7 @@ pub struct PhysicalAtmosphere {
     rayleigh_scale_height_m: f64,
     rayleigh_density: f64,
     ozone_dobson: f64,
+    light_shafts: bool,
 }
 
 impl PhysicalAtmosphere {
@@ -208,6 +209,11 @@ impl PhysicalAtmosphere {
     pub fn ozone_dobson(&self) -> f64 {
         self.ozone_dobson
     }
+
+    /// Whether clouds throw their shadow into the air.
+    pub fn light_shafts(&self) -> bool {
+        self.light_shafts
+    }
 }
 
 impl TryFrom<PhysicalAtmosphereDocument> for PhysicalAtmosphere {
@@ -234,6 +240,7 @@ impl TryFrom<PhysicalAtmosphereDocument> for PhysicalAtmosphere {
             rayleigh_density: ranges::RAYLEIGH_DENSITY
                 .check("/rayleigh_density", document.rayleigh_density)?,
             ozone_dobson: ranges::OZONE_DOBSON.check("/ozone_dobson", document.ozone_dobson)?,
+            light_shafts: document.light_shafts,
         })
     }
 }
@@ -299,6 +306,7 @@ impl From<&Atmosphere> for AtmosphereDocument {
                 rayleigh_scale_height_m: sky.rayleigh_scale_height_m,
                 rayleigh_density: sky.rayleigh_density,
                 ozone_dobson: sky.ozone_dobson,
+                light_shafts: sky.light_shafts,
             }),
             Atmosphere::Uniform(sky) => Self::Uniform(UniformAtmosphereDocument {
                 radiance_w_per_m2_nm_sr: sky.radiance_w_per_m2_nm_sr,

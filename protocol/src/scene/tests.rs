@@ -566,3 +566,24 @@ proptest! {
         let _ = Scene::from_json(&Value::Object(document));
     }
 }
+
+#[test]
+fn light_shafts_are_had_in_computed_air_alone() {
+    let of = |planet: Value, atmosphere: Value| {
+        Scene::from_json(&json!({"version": 1, "planet": planet, "atmosphere": atmosphere}))
+    };
+    let asked = json!({"model": "physical", "light_shafts": true});
+    let sphere = json!({});
+    assert!(!Scene::default().light_shafts());
+    assert!(of(sphere.clone(), asked.clone()).is_ok_and(|scene| scene.light_shafts()));
+    let off = json!({"model": "physical"});
+    assert!(of(sphere.clone(), off).is_ok_and(|scene| !scene.light_shafts()));
+    let flat = of(Value::Null, asked).expect_err("no air");
+    assert_eq!(flat.pointer, "/atmosphere/light_shafts");
+    for model in ["analytic", "uniform"] {
+        let other = json!({"model": model, "light_shafts": true});
+        let error = of(sphere.clone(), other).expect_err("another sky");
+        assert_eq!(error.pointer, "/atmosphere/light_shafts");
+        assert!(error.allowed.contains(model), "{error}");
+    }
+}

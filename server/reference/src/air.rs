@@ -115,6 +115,9 @@ fn exp(v: DVec3) -> DVec3 {
     DVec3::new(v.x.exp(), v.y.exp(), v.z.exp())
 }
 
+/// Intervals of a path in air that clouds shade: 10 km away they are 200 m long at the horizon.
+const SHADED_INTERVALS: usize = 3000;
+
 /// Light of the air between a place and a distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AirLight {
@@ -289,13 +292,27 @@ impl Air {
     /// Light towards a place from a direction. `on_ground`: whether the direction ends on the ground.
     #[must_use]
     pub fn along(&self, altitude_m: f64, toward: Toward, on_ground: bool) -> AlongPath {
-        self.along_by(altitude_m, toward, on_ground, 300, 24)
+        self.along_by(altitude_m, toward, on_ground, 300, 24, |_| 1.0)
     }
 
     /// The same with a few hundredths of the work, right to some thousandths.
     #[must_use]
     pub fn roughly_along(&self, altitude_m: f64, toward: Toward, on_ground: bool) -> AlongPath {
-        self.along_by(altitude_m, toward, on_ground, 48, 10)
+        self.along_by(altitude_m, toward, on_ground, 48, 10, |_| 1.0)
+    }
+
+    /// Light towards a place, in air that clouds shade: `sunlit` is the share of the sun's light that they let through to a
+    /// distance, m. What is scattered once is shaded. The higher orders come from all around and are not: Hillaire's closed
+    /// sum, like the renderer's, knows no place.
+    #[must_use]
+    pub fn along_shaded(
+        &self,
+        altitude_m: f64,
+        toward: Toward,
+        on_ground: bool,
+        sunlit: impl Fn(f64) -> f64,
+    ) -> AlongPath {
+        self.along_by(altitude_m, toward, on_ground, SHADED_INTERVALS, 24, sunlit)
     }
 
     fn along_by(
@@ -305,6 +322,7 @@ impl Air {
         on_ground: bool,
         intervals: usize,
         sun_intervals: usize,
+        sunlit: impl Fn(f64) -> f64,
     ) -> AlongPath {
         let medium = &self.medium;
         let mut along = AlongPath {
@@ -323,7 +341,8 @@ impl Air {
         path.walk(medium, intervals, |part| {
             let mu_sun = part.middle.mu_sun(toward.mu_sun, nu);
             let altitude_m = part.middle.altitude_m;
-            let sun = medium.sun_transmittance(altitude_m, mu_sun, sun_intervals);
+            let shade = sunlit(part.middle.distance_m());
+            let sun = shade * medium.sun_transmittance(altitude_m, mu_sun, sun_intervals);
             let higher = self.orders.higher_per_sr(medium, altitude_m, mu_sun);
             let once = medium.rayleigh_per_m * part.densities.rayleigh * rayleigh_per_sr
                 + medium.mie_scattering_per_m * part.densities.mie * mie_per_sr;

@@ -137,6 +137,14 @@ pub struct SkyLight {
     diffuse_per_sr: DVec3,
 }
 
+/// How the air is integrated.
+enum Fineness<'a> {
+    Rough,
+    Fine,
+    /// With the share of the sun's light that clouds let through to a place.
+    Shaded(&'a dyn Fn(DVec3) -> f64),
+}
+
 fn smoothstep(from: f64, to: f64, at: f64) -> f64 {
     let t = ((at - from) / (to - from)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
@@ -367,7 +375,7 @@ impl SkyLight {
     #[must_use]
     pub fn background(&self, ray: &Ray, air_direction: DVec3) -> Background {
         if let Some(air) = &self.air {
-            return self.background_of_air(air, ray, air_direction, false);
+            return self.background_of_air(air, ray, air_direction, Fineness::Fine);
         }
         let sky = self.clear_sky(air_direction);
         let air_share = each(sky.transmittance, |t| 1.0 / (1.0 - t).max(1e-6));
@@ -403,12 +411,27 @@ impl SkyLight {
         }
     }
 
+    /// The same in air that clouds shade, where the scene has such: `sunlit` is the share of the sun's light that they let
+    /// through to a place of the frame.
+    #[must_use]
+    pub fn shaded_background(
+        &self,
+        ray: &Ray,
+        air_direction: DVec3,
+        sunlit: &dyn Fn(DVec3) -> f64,
+    ) -> Background {
+        match &self.air {
+            Some(air) => self.background_of_air(air, ray, air_direction, Fineness::Shaded(sunlit)),
+            None => self.background(ray, air_direction),
+        }
+    }
+
     /// What lies behind all clouds along a ray that left them, without the sun's disc. Integrated air is integrated
     /// roughly.
     #[must_use]
     pub fn environment(&self, ray: &Ray) -> DVec3 {
         match &self.air {
-            Some(air) => self.background_of_air(air, ray, ray.direction, true),
+            Some(air) => self.background_of_air(air, ray, ray.direction, Fineness::Rough),
             None => self.background(ray, ray.direction),
         }
         .without_sun
@@ -425,16 +448,19 @@ impl SkyLight {
         air: &Air,
         ray: &Ray,
         air_direction: DVec3,
-        roughly: bool,
+        fineness: Fineness<'_>,
     ) -> Background {
         let altitude_m = self.globe.altitude_m(ray.origin_m);
         let up = (ray.origin_m + DVec3::Y * self.radius_m).normalize_or(DVec3::Y);
         let on_ground = self.globe.ground_m(ray).is_some();
         let toward = Toward::new(air_direction, up, self.sun_direction);
-        let along = if roughly {
-            air.roughly_along(altitude_m, toward, on_ground)
-        } else {
-            air.along(altitude_m, toward, on_ground)
+        let along = match fineness {
+            Fineness::Rough => air.roughly_along(altitude_m, toward, on_ground),
+            Fineness::Fine => air.along(altitude_m, toward, on_ground),
+            Fineness::Shaded(sunlit) => {
+                let at = |distance_m: f64| ray.origin_m + air_direction * distance_m;
+                air.along_shaded(altitude_m, toward, on_ground, |d| sunlit(at(d)))
+            }
         };
         let all = along.all();
         let scattered = self.environment_radiance + self.sun_irradiance * all.scattered_per_sr;

@@ -1,7 +1,7 @@
 //! Sky and haze on the device. The air looks the same to every viewer at an altitude, wherever he stands and whichever way
 //! he looks: the tables are made for altitudes, and viewers of all cells share them.
 
-use super::{BaseTables, Medium};
+use super::{BaseTables, Medium, ShaftReader};
 use crate::gpu::{Gpu, PipelineKey, Pipelines};
 use skycell_shaders::{Features, Kernel, layout};
 use std::collections::BTreeMap;
@@ -73,6 +73,8 @@ struct View {
     base_group: wgpu::BindGroup,
     out_groups: [wgpu::BindGroup; 2],
     read_group: wgpu::BindGroup,
+    /// Sky, aerosol, haze and its extinction.
+    read: [wgpu::TextureView; 4],
 }
 
 /// Base tables on the device.
@@ -192,6 +194,7 @@ impl AirViews {
         pipelines: &Pipelines,
         encoder: &mut wgpu::CommandEncoder,
         altitude_m: f64,
+        shafts: Option<&ShaftReader>,
     ) -> Option<wgpu::BindGroup> {
         let base = self.base.as_ref()?;
         self.clock += 1;
@@ -219,8 +222,52 @@ impl AirViews {
                 .write_buffer(&view.air, 0, bytemuck::bytes_of(&air));
             view.record(pipelines, encoder);
         }
-        Some(view.read_group.clone())
+        Some(match shafts {
+            None => view.read_group.clone(),
+            Some(shafts) => {
+                let resources = [view.read(&self.sampler).as_slice(), &shafts.resources()].concat();
+                gpu.bind_group("air", &pipelines.shafts_layout, &resources)
+            }
+        })
     }
+
+    /// Group 0 of a pass that marches through the air from a place of its own; `air` is filled for it. None without air.
+    #[must_use]
+    pub fn base_group(
+        &self,
+        gpu: &Gpu,
+        pipelines: &Pipelines,
+        air: &wgpu::Buffer,
+        altitude_m: f64,
+        mu_sun: f64,
+    ) -> Option<wgpu::BindGroup> {
+        let base = self.base.as_ref()?;
+        let uniform = air_uniform(&base.tables, altitude_m, mu_sun);
+        gpu.queue.write_buffer(air, 0, bytemuck::bytes_of(&uniform));
+        Some(base_group(gpu, pipelines, base, air, &self.sampler))
+    }
+}
+
+fn base_group(
+    gpu: &Gpu,
+    pipelines: &Pipelines,
+    base: &Base,
+    air: &wgpu::Buffer,
+    sampler: &wgpu::Sampler,
+) -> wgpu::BindGroup {
+    use wgpu::BindingResource::{Sampler, TextureView};
+    let [depth, orders, ground] = &base.views;
+    gpu.bind_group(
+        "air",
+        &pipelines.air_base_layout,
+        &[
+            air.as_entire_binding(),
+            TextureView(depth),
+            TextureView(orders),
+            TextureView(ground),
+            Sampler(sampler),
+        ],
+    )
 }
 
 fn air_uniform(tables: &BaseTables, altitude_m: f64, mu_sun: f64) -> layout::Air {
@@ -273,6 +320,23 @@ fn texture(
     })
 }
 
+/// What a composite reads, in the order of its bindings.
+fn read_resources<'a>(
+    air: &'a wgpu::Buffer,
+    [scattered, aerosol, source, extinction]: &'a [wgpu::TextureView; 4],
+    sampler: &'a wgpu::Sampler,
+) -> [wgpu::BindingResource<'a>; 6] {
+    use wgpu::BindingResource::{Sampler, TextureView};
+    [
+        air.as_entire_binding(),
+        TextureView(scattered),
+        TextureView(aerosol),
+        TextureView(source),
+        TextureView(extinction),
+        Sampler(sampler),
+    ]
+}
+
 impl View {
     fn new(
         gpu: &Gpu,
@@ -281,7 +345,7 @@ impl View {
         sampler: &wgpu::Sampler,
         altitude_m: f64,
     ) -> Self {
-        use wgpu::BindingResource::{Sampler, TextureView};
+        use wgpu::BindingResource::TextureView;
         let air = gpu.uniform_buffer("air", size_of::<layout::Air>());
         let made = |label, size| {
             texture(gpu, label, size, wgpu::TextureUsages::STORAGE_BINDING)
@@ -292,22 +356,13 @@ impl View {
         let aerosol = made("aerosol", [columns, rows, 1]);
         let source = made("haze", HAZE_SIZE);
         let extinction = made("haze extinction", [HAZE_EXTINCTION_SLICES, HAZE_SIZE[1], 1]);
-        let [depth, orders, ground] = &base.views;
+        let read = [&scattered, &aerosol, &source, &extinction].map(Clone::clone);
+        let resources = read_resources(&air, &read, sampler);
         Self {
             made: None,
             used: 0,
             altitude_m,
-            base_group: gpu.bind_group(
-                "air",
-                &pipelines.air_base_layout,
-                &[
-                    air.as_entire_binding(),
-                    TextureView(depth),
-                    TextureView(orders),
-                    TextureView(ground),
-                    Sampler(sampler),
-                ],
-            ),
+            base_group: base_group(gpu, pipelines, base, &air, sampler),
             out_groups: [
                 gpu.bind_group(
                     "air",
@@ -320,20 +375,14 @@ impl View {
                     &[TextureView(&source), TextureView(&extinction)],
                 ),
             ],
-            read_group: gpu.bind_group(
-                "air",
-                &pipelines.air_layout,
-                &[
-                    air.as_entire_binding(),
-                    TextureView(&scattered),
-                    TextureView(&aerosol),
-                    TextureView(&source),
-                    TextureView(&extinction),
-                    Sampler(sampler),
-                ],
-            ),
+            read_group: gpu.bind_group("air", &pipelines.air_layout, &resources),
+            read,
             air,
         }
+    }
+
+    fn read<'a>(&'a self, sampler: &'a wgpu::Sampler) -> [wgpu::BindingResource<'a>; 6] {
+        read_resources(&self.air, &self.read, sampler)
     }
 
     fn record(&self, pipelines: &Pipelines, encoder: &mut wgpu::CommandEncoder) {

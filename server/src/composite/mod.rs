@@ -48,6 +48,7 @@ pub fn composite_key(
             screen_space,
             tone: tone_of(scene.tone().curve()),
             physical_sky: scene.physical_air().is_some(),
+            light_shafts: scene.light_shafts() && blend.layers > 0,
             moon: scene.moon().is_some(),
             stars: scene.stars().is_some(),
             ..Features::default()

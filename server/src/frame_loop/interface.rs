@@ -301,7 +301,7 @@ pub struct AdapterStats {
     pub device_type: String,
 }
 
-/// Sums since the frame loop's start; `cache_bytes` and `sun_volume_bytes` are what is allocated now.
+/// Sums since the frame loop's start; `cache_bytes`, `sun_volume_bytes` and `light_shaft_bytes` are what is allocated now.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RenderTotals {
     /// Turns of the loop.
@@ -342,6 +342,14 @@ pub struct RenderTotals {
     pub sun_volume_bytes: u64,
     /// GPU time of sun volumes.
     pub gpu_sun_volume_ns: u64,
+    /// Look-ups of density and steps through the air for light shafts.
+    pub light_shaft_evaluations: u64,
+    /// Tables of light shafts made.
+    pub light_shaft_tables: u64,
+    /// GPU memory of light shafts, now.
+    pub light_shaft_bytes: u64,
+    /// GPU time of light shafts.
+    pub gpu_light_shaft_ns: u64,
 }
 
 /// A view cell.

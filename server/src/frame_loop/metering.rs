@@ -203,7 +203,7 @@ impl SkyRenderer {
                     .metered
                     .is_none_or(|last| now.duration_since(last) >= INTERVAL);
                 if reads_cache && is_time && (meter.due || windy) {
-                    self.meter(&mut cell, &mut meter);
+                    self.meter(id, &mut cell, &mut meter);
                     meter.metered = Some(now);
                     meter.due = false;
                 }
@@ -215,7 +215,8 @@ impl SkyRenderer {
     }
 
     /// Submits the metering of a cell's sky.
-    fn meter(&mut self, cell: &mut ActiveCell, meter: &mut Meter) {
+    fn meter(&mut self, id: CellId, cell: &mut ActiveCell, meter: &mut Meter) {
+        let shafts = self.shaft_reader(id);
         let [x, y, z] = cell.reference_m.to_array();
         let Ok(camera) = Camera::new([x, y, z], 0.0, 90.0, FOV_DEG) else {
             return;
@@ -246,6 +247,7 @@ impl SkyRenderer {
             &self.pipelines,
             &mut encoder,
             f64::from(view.altitude_m),
+            shafts.as_ref(),
         );
         self.timing.begin();
         meter.picture.record(

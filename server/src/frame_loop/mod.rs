@@ -5,6 +5,7 @@ mod auditing;
 mod awaited_scene;
 mod cells_on_device;
 pub mod interface;
+mod light_shafts;
 mod metering;
 mod pacing;
 mod passes;

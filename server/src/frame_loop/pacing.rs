@@ -475,6 +475,7 @@ impl FrameLoop {
             // What is marched before the volume is there would have to be marched again.
             return Marching::More;
         }
+        let shafts = self.update_light_shafts(tiles_max);
         let screen_space = self.march_screen_space(budget);
         let updates = self.renderer.march(tiles_max);
         self.march_credit_s -= updates.len() as f64 * self.ns_per_tile * 1e-9;
@@ -502,11 +503,24 @@ impl FrameLoop {
             }
         }
         self.was_pending = pending;
-        if pending || screen_space {
+        if pending || screen_space || shafts {
             Marching::More
         } else {
             Marching::Done
         }
+    }
+
+    /// Makes parts of light shafts; true while there is more to make. Who sees air that is lit otherwise gets a frame.
+    fn update_light_shafts(&mut self, tiles_max: usize) -> bool {
+        let progress = self.renderer.update_light_shafts(tiles_max);
+        self.march_credit_s -= self.renderer.shafts_time_s(progress.evaluations);
+        for (id, pace) in &mut self.paces {
+            let viewer = self.renderer.viewers.get(id);
+            if viewer.is_some_and(|viewer| progress.changed.contains(&viewer.cell)) {
+                pace.change = Change::Seen;
+            }
+        }
+        progress.is_pending
     }
 
     /// Marches some texels again, after frames: none while one is due, and at rest only when all is marched.

@@ -228,6 +228,7 @@ impl SkyRenderer {
     ) -> Option<()> {
         let view = self.view_of(viewer)?;
         let (shown, _) = self.shown_to(viewer);
+        let shafts = self.shaft_reader(viewer.cell);
         let cell = self.active_cells.get_mut(&viewer.cell)?;
         let screen_space = viewer.kind == RendererKind::ScreenSpace;
         let (layers, view) = match (screen_space, &viewer.screen_space) {
@@ -245,6 +246,7 @@ impl SkyRenderer {
             &self.pipelines,
             encoder,
             f64::from(view.altitude_m),
+            shafts.as_ref(),
         );
         let (scene, field) = (
             cell.buffers.scene_group.clone(),
@@ -286,6 +288,8 @@ impl SkyRenderer {
         inspected: Option<Shown>,
     ) -> Result<(), GpuError> {
         let gone = || GpuError::Device("the viewer of the picture is gone".into());
+        let cell = self.viewers.get(&id).ok_or_else(gone)?.cell;
+        let shafts = self.shaft_reader(cell);
         let viewer = self.viewers.get(&id).ok_or_else(gone)?;
         let view = self.view_of(viewer).ok_or_else(gone)?;
         let cell = self.active_cells.get_mut(&viewer.cell).ok_or_else(gone)?;
@@ -310,6 +314,7 @@ impl SkyRenderer {
             &self.pipelines,
             &mut encoder,
             f64::from(view.altitude_m),
+            shafts.as_ref(),
         );
         let (scene, field) = (
             cell.buffers.scene_group.clone(),

@@ -5,13 +5,14 @@ use super::auditing::Audit;
 use super::awaited_scene::AwaitedScene;
 use super::cells_on_device::ActiveCell;
 use super::interface::{RenderStats, ViewRequest};
+use super::light_shafts::CellShafts;
 use super::qualities::Qualities;
 use super::screen_space::WindowChoice;
 use super::sky_steps::steps_between;
 use super::sky_time::SkyTime;
 use super::sun_volumes::{SunVolumes, asks_for_volume};
 use super::viewers_on_device::ActiveViewer;
-use crate::atmosphere::{AirKeeper, AirViews, table_keys};
+use crate::atmosphere::{AirKeeper, AirViews, cloud_shadows_key, make_shafts_key, table_keys};
 use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
 use crate::cells::{CellLimit, Cells};
 use crate::clock;
@@ -92,6 +93,8 @@ pub(super) struct SkyRenderer {
     /// Tables of the scene's air, where it has such.
     pub(super) air: AirKeeper,
     pub(super) air_views: AirViews,
+    /// Shadow of clouds in that air, where the scene has it.
+    pub(super) shafts: CellShafts,
     pub(super) drifts: Vec<DVec3>,
     pub(super) active_cells: BTreeMap<CellId, ActiveCell>,
     pub(super) viewers: BTreeMap<ViewerId, ActiveViewer>,
@@ -129,6 +132,7 @@ impl SkyRenderer {
             light: sky_light(&scene, None, 0.0),
             air: AirKeeper::new(sun_angular_radius_rad()),
             air_views: AirViews::new(&gpu),
+            shafts: CellShafts::default(),
             scene: scene.clone(),
             scene_revision,
             sky_time: SkyTime::standing(scene.clone()),
@@ -276,6 +280,10 @@ impl SkyRenderer {
         if scene.physical_air().is_some() {
             keys.extend(table_keys());
         }
+        let has_shafts = scene.light_shafts() && !active.is_empty();
+        if has_shafts {
+            keys.push(make_shafts_key());
+        }
         for settings in self.possible_settings(scene.light().octaves()) {
             for layer in &active {
                 let cone = layer_features(scene, layer.scene_index, &settings);
@@ -293,6 +301,7 @@ impl SkyRenderer {
                     });
                 }
                 keys.extend(volume.map(sun_columns_key));
+                keys.extend(has_shafts.then(|| cloud_shadows_key(cone)));
             }
         }
         keys
@@ -353,6 +362,7 @@ impl SkyRenderer {
             );
             self.refresh_cells();
             while self.update_sun_volumes(usize::MAX >> 32) {}
+            while self.update_light_shafts(usize::MAX >> 32).is_pending {}
             for update in self.march(1) {
                 self.warm_up_audit(&update);
             }

@@ -48,6 +48,10 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             sun_volume_columns: renderer.sun.counters.columns,
             sun_volume_bytes: renderer.sun.bytes(),
             gpu_sun_volume_ns: renderer.gpu_time(TimedPass::SunVolume).0,
+            light_shaft_evaluations: renderer.shafts.evaluations,
+            light_shaft_tables: renderer.shafts.tables,
+            light_shaft_bytes: renderer.shafts.bytes(),
+            gpu_light_shaft_ns: renderer.gpu_time(TimedPass::LightShafts).0,
         },
         device: renderer.inventory(),
         audit: AuditStats {

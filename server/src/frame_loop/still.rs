@@ -5,6 +5,7 @@ use super::renderer::SkyRenderer;
 use super::screen_space::{ScreenSpaceJob, WindowChoice};
 use super::still_settings::{LayerFigures, RayFigures, RayPicture};
 use super::still_settings::{StillFigures, StillPicture, StillSettings};
+use crate::atmosphere::ShaftShares;
 use crate::cells::{CellLimit, Cells};
 use crate::composite::{Picture, composite_key, ground_key, shown_of};
 use crate::config::{PlacedCell, RenderConfig};
@@ -99,6 +100,19 @@ impl StillRenderer {
     /// When a kernel does not compose.
     pub fn reads(&self) -> Result<BTreeMap<&'static str, BTreeSet<String>>, GpuError> {
         reads_of(&self.renderer.pipelines)
+    }
+
+    /// The light shafts of the last picture, brought to the processor: for tests. None where it had none.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn light_shafts(&self) -> Result<Option<ShaftShares>, GpuError> {
+        let renderer = &self.renderer;
+        let cell = renderer.viewers.get(&VIEWER).map(|viewer| viewer.cell);
+        match cell.and_then(|cell| renderer.shafts.of(cell)) {
+            Some(shafts) => shafts.shares_blocking(&renderer.gpu),
+            None => Ok(None),
+        }
     }
 
     /// The scene.
@@ -215,6 +229,8 @@ impl StillRenderer {
             altitude_m: altitude_m as f32,
             ..renderer.view_of(viewer).ok_or_else(gone)?
         };
+        // Light shafts are seen from one place, too.
+        renderer.shafts.eye = list.rays.first().map(|ray| ray.origin_m);
         let viewer = renderer.viewers.get_mut(&VIEWER).ok_or_else(gone)?;
         viewer.screen_space = Some(ScreenSpaceJob::new(marched, view));
         self.march_all(true, progress)?;
@@ -361,6 +377,7 @@ impl StillRenderer {
         settings: &StillSettings,
         mut progress: impl FnMut(f64),
     ) -> Result<(), GpuError> {
+        self.renderer.make_light_shafts(BATCH_TILES)?;
         let frames = settings.frames.max(1);
         for frame in 0..frames {
             let left = f64::from((frames - frame).saturating_sub(settings.resting_frames.max(1)));
@@ -389,6 +406,7 @@ impl StillRenderer {
         while renderer.update_sun_volumes(BATCH_TILES) {
             renderer.gpu.wait()?;
         }
+        renderer.make_light_shafts(BATCH_TILES)?;
         if screen_space {
             let samples = f64::from(renderer.caches.samples());
             let mut done = 0.0;
@@ -440,14 +458,15 @@ impl StillRenderer {
         Ok((display, linear))
     }
 
-    /// GPU time of the cache, of composites, of the screen-space renderer and of sun volumes so far, ns.
+    /// GPU time of the cache, of composites, of the screen-space renderer, of sun volumes and of light shafts so far, ns.
     #[must_use]
-    pub fn gpu_times_ns(&self) -> [u64; 4] {
+    pub fn gpu_times_ns(&self) -> [u64; 5] {
         [
             TimedPass::Cache,
             TimedPass::Composite,
             TimedPass::ScreenSpace,
             TimedPass::SunVolume,
+            TimedPass::LightShafts,
         ]
         .map(|pass| self.renderer.gpu_time(pass).0)
     }
@@ -483,6 +502,7 @@ impl Start {
         renderer.settings = settings.march;
         // Each picture pays for its own.
         renderer.sun.clear();
+        renderer.shafts.clear();
         renderer.caches.set_samples(settings.samples);
         renderer.mip_bias = f64::from(settings.mip_bias);
         renderer.window_choice = WindowChoice::Fixed(settings.window);

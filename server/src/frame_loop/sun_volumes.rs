@@ -66,6 +66,11 @@ impl SunVolumes {
         self.epoch += 1;
     }
 
+    /// Which state of the maps it is by now.
+    pub(super) fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
     /// Forgets all columns: the clouds are others.
     pub(super) fn clear(&mut self) {
         self.held.clear();

@@ -57,6 +57,12 @@ pub struct Pipelines {
     pub air_haze_layout: wgpu::BindGroupLayout,
     /// Group 1 of the composite where the air is read from tables.
     pub air_layout: wgpu::BindGroupLayout,
+    /// Group 1 of the composite where that air has light shafts: the same and their table.
+    pub shafts_layout: wgpu::BindGroupLayout,
+    /// Group 2 of the pass that makes a layer's shadow in the air.
+    pub shadows_layout: wgpu::BindGroupLayout,
+    /// Group 1 of the pass that makes the table of light shafts.
+    pub make_shafts_layout: wgpu::BindGroupLayout,
     empty_layout: wgpu::BindGroupLayout,
     /// Stands where a kernel has no group.
     pub empty_group: wgpu::BindGroup,
@@ -205,6 +211,14 @@ impl Pipelines {
                 mapped_at_creation: false,
             })
         };
+        let air = [
+            uniform(),
+            sampled(D2, true),
+            sampled(D2, true),
+            sampled(D3, true),
+            sampled(D2, true),
+            SAMPLER,
+        ];
         let words = blue_noise_words();
         let blue_noise = buffer("blue noise", size_of_val(words.as_slice()) as u64);
         gpu.queue
@@ -322,16 +336,29 @@ impl Pipelines {
                     stored_as(wgpu::TextureFormat::Rgba32Float, D2),
                 ],
             ),
-            air_layout: layout(
+            shafts_layout: layout(
                 gpu,
-                "air",
+                "air and light shafts",
+                &[air.as_slice(), &[uniform(), sampled(D3, true), SAMPLER]].concat(),
+            ),
+            air_layout: layout(gpu, "air", &air),
+            shadows_layout: layout(
+                gpu,
+                "cloud shadows",
                 &[
                     uniform(),
-                    sampled(D2, true),
-                    sampled(D2, true),
+                    stored_as(wgpu::TextureFormat::R32Float, D3),
+                    storage(false),
+                ],
+            ),
+            make_shafts_layout: layout(
+                gpu,
+                "light shafts",
+                &[
+                    uniform(),
                     sampled(D3, true),
-                    sampled(D2, true),
                     SAMPLER,
+                    stored_as(wgpu::TextureFormat::Rgba16Float, D3),
                 ],
             ),
             empty_layout,
@@ -402,6 +429,18 @@ impl Pipelines {
                 &self.empty_layout,
                 &self.empty_layout,
             ],
+            Kernel::CloudShadows => [
+                &self.scene_layout,
+                &self.field_layout,
+                &self.shadows_layout,
+                &self.empty_layout,
+            ],
+            Kernel::MakeLightShafts => [
+                &self.air_base_layout,
+                &self.make_shafts_layout,
+                &self.empty_layout,
+                &self.empty_layout,
+            ],
             Kernel::MakeAirView | Kernel::MakeAirHaze => [
                 &self.air_base_layout,
                 if key.kernel == Kernel::MakeAirView {
@@ -414,7 +453,9 @@ impl Pipelines {
             ],
             Kernel::Composite | Kernel::Probe => [
                 &self.scene_layout,
-                if key.features.physical_sky {
+                if key.features.physical_sky && key.features.light_shafts {
+                    &self.shafts_layout
+                } else if key.features.physical_sky {
                     &self.air_layout
                 } else {
                     &self.empty_layout

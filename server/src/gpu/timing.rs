@@ -13,6 +13,8 @@ pub enum TimedPass {
     Audit,
     /// Made columns of the sun volume.
     SunVolume,
+    /// Made shadows of clouds in the air, and the table of light shafts.
+    LightShafts,
     /// Composited a picture.
     Composite,
     /// Made a picture of a quantity of the cloud field.
@@ -23,10 +25,11 @@ pub enum TimedPass {
 
 impl TimedPass {
     /// Every kind.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Cache,
         Self::Audit,
         Self::SunVolume,
+        Self::LightShafts,
         Self::Composite,
         Self::Inspection,
         Self::ScreenSpace,
@@ -39,6 +42,7 @@ impl TimedPass {
             Self::Cache => "cache",
             Self::Audit => "audit",
             Self::SunVolume => "sun-volume",
+            Self::LightShafts => "light-shafts",
             Self::Composite => "composite",
             Self::Inspection => "inspection",
             Self::ScreenSpace => "screen-space",
@@ -66,6 +70,7 @@ struct Sums {
     cache: Sum,
     audit: Sum,
     sun_volume: Sum,
+    light_shafts: Sum,
     composite: Sum,
     inspection: Sum,
     screen_space: Sum,
@@ -241,6 +246,7 @@ impl Sums {
             TimedPass::Cache => &self.cache,
             TimedPass::Audit => &self.audit,
             TimedPass::SunVolume => &self.sun_volume,
+            TimedPass::LightShafts => &self.light_shafts,
             TimedPass::Composite => &self.composite,
             TimedPass::Inspection => &self.inspection,
             TimedPass::ScreenSpace => &self.screen_space,

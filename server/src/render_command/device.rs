@@ -179,7 +179,7 @@ pub(super) fn run(
     }
     let totals = still.totals();
     if arguments.json {
-        let [cache_ns, composite_ns, screen_space_ns, _] = still.gpu_times_ns();
+        let [cache_ns, composite_ns, screen_space_ns, ..] = still.gpu_times_ns();
         let told = json!({
             "out": arguments.out, "adapter": still.adapter(), "wall_s": figures.wall_s,
             "marches": figures.marches, "sun_volume_evaluations_of_picture": figures.sun_volume_evaluations, "texture_reads": figures.texture_reads,
@@ -188,6 +188,8 @@ pub(super) fn run(
             "screen_space_marches": totals.screen_space_marches,
             "sun_volume_evaluations": totals.sun_volume_evaluations, "sun_volume_columns": totals.sun_volume_columns,
             "sun_volume_bytes": totals.sun_volume_bytes, "gpu_sun_volume_ns": totals.gpu_sun_volume_ns, "cache_bytes": totals.cache_bytes,
+            "light_shaft_evaluations": totals.light_shaft_evaluations, "light_shaft_bytes": totals.light_shaft_bytes,
+            "gpu_light_shaft_ns": totals.gpu_light_shaft_ns,
             "gpu_cache_ns": cache_ns, "gpu_composite_ns": composite_ns, "gpu_screen_space_ns": screen_space_ns,
             "device": still.inventory(), "reads": still.reads()?,
         });

@@ -11,6 +11,9 @@
 #import skycell::physical::{AirView, Haze, air_view, haze_until}
 #import skycell::air::mu_horizon
 #import skycell::transport::one_minus_exp_over
+#ifdef LIGHT_SHAFTS
+#import skycell::physical::shaded_view
+#endif
 #endif
 
 /// What lies behind all clouds around a direction. Air and ground change so little over two pixels that four share one;
@@ -81,6 +84,9 @@ fn background(world: Scene, position: vec3f, altitude_m: f32, direction: vec3f) 
     let mu = clamp((dot(direction, position) + radius_m * direction.y) / from_centre_m, -1.0, 1.0);
     let mu_sun = clamp((dot(world.sun.direction, position) + radius_m * world.sun.direction.y) / from_centre_m, -1.0, 1.0);
     result.view = air_view(radius_m, altitude_m, mu, mu_sun, ray.angle, ray.on_ground);
+#ifdef LIGHT_SHAFTS
+    result.view = shaded_view(result.view, direction);
+#endif
     result.air = world.sun.irradiance * result.view.radiance_per_sr + world.sky.environment_radiance;
     result.transmittance = result.view.transmittance;
 #ifdef HAZE_OF_SPHERES

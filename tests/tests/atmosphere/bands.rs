@@ -168,7 +168,10 @@ fn the_clear_sky_at_dusk_has_no_bands_in_eight_bits() {
                  pixels, {squares:.3} with that of squares"
             );
             assert!(without > BAND_STEPS, "{without}");
-            assert!(squares < BAND_STEPS && squares < 0.75 * without, "{squares}");
+            assert!(
+                squares < BAND_STEPS && squares < 0.75 * without,
+                "{squares}"
+            );
         }
     }
 }

@@ -13,6 +13,11 @@ pub(super) struct Place {
 }
 
 impl Place {
+    /// Distance from the origin, m.
+    pub(super) fn distance_m(&self) -> f64 {
+        self.distance_m
+    }
+
     /// Cosine of the sun's zenith angle there, from that at the origin and the cosine of the angle between path and sun.
     pub(super) fn mu_sun(&self, mu_sun: f64, nu: f64) -> f64 {
         ((self.origin_radius_m * mu_sun + self.distance_m * nu) / self.radius_m).clamp(-1.0, 1.0)

@@ -24,7 +24,7 @@ pub(super) fn blended(
     gathered: Vec<LayerGathered>,
 ) -> RayResult {
     let light = world.light();
-    let background = light.background(ray, air_direction);
+    let background = super::shaded_background(world, ray, air_direction);
     let x = one_minus_mu(ray.direction, light.sun_direction);
     let hazed = world.settings().approximations.aerial_perspective;
     let (mut radiance, mut single) = (background.radiance, DVec3::ZERO);

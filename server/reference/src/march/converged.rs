@@ -198,7 +198,7 @@ fn each_span(
 }
 
 /// One layer at one fineness.
-struct LayerMarch<'a> {
+pub(super) struct LayerMarch<'a> {
     world: &'a World,
     layer: &'a WorldLayer,
     place: usize,
@@ -208,7 +208,7 @@ struct LayerMarch<'a> {
 }
 
 impl<'a> LayerMarch<'a> {
-    fn new(world: &'a World, place: usize, scale: f64) -> Self {
+    pub(super) fn new(world: &'a World, place: usize, scale: f64) -> Self {
         let layer = &world.layers()[place];
         let sun_end_m = world.scene().light().sun_march_distance_m();
         // What a shape or a grid fills may be far smaller than its layer.
@@ -247,7 +247,7 @@ impl<'a> LayerMarch<'a> {
         }
     }
 
-    fn sun_depth_of(&self, place: usize, position_m: DVec3, end_m: f64) -> (f64, u64) {
+    pub(super) fn sun_depth_of(&self, place: usize, position_m: DVec3, end_m: f64) -> (f64, u64) {
         let layer = &self.world.layers()[place];
         let ray = Ray {
             origin_m: position_m,

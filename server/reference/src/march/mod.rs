@@ -4,12 +4,14 @@ mod blend;
 mod converged;
 mod layer;
 mod seen;
+mod shade;
 mod sheet;
 
 pub use converged::{ConvergeLimit, Converged, converged_ray};
 pub use layer::{
     LitPart, LitRay, MarchSteps, detail_weight, gather_layer, lit_ray, sun_optical_depth,
 };
+pub use shade::{shaded_background, sunlit_share};
 pub use sheet::sheet_sun_depth;
 
 use crate::{Ray, RayResult, World};

@@ -2,6 +2,7 @@
 
 use super::{Moments, Random, Tracker};
 use crate::error::checked;
+use crate::march::shaded_background;
 use crate::phase::{one_minus_mu, turned};
 use crate::sky::Haze;
 use crate::{Ray, ReferenceError, World};
@@ -115,7 +116,7 @@ pub(super) fn trace_with(
     settings: &PathSettings,
 ) -> Moments {
     let light = world.light();
-    let background = light.background(ray, ray.direction);
+    let background = shaded_background(world, ray, ray.direction);
     let hazed = world.settings().approximations.aerial_perspective;
     let mut moments = Moments::default();
     for sample in samples {
