@@ -564,6 +564,14 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
         if transmittance < layer.transmittance_min { break; }
     }
 
+    // What a ray that has ended early did not see is taken to be like the rest of it. The sun's disc is ten thousands of times
+    // as bright as the sky: it would shine through what is left of any cloud.
+    let ended = transmittance < layer.transmittance_min;
+    let whole = select(1.0, 1.0 / (1.0 - min(transmittance, 0.5)), ended);
+    transmittance = select(transmittance, 0.0, ended);
+    for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) { octave_sums[k] *= whole; }
+    front = times(front, whole);
+    back = times(back, whole);
     return ray_light(ray, layer, origin, direction, octave_sums, front, back, transmittance, layer_distance_m);
 }
 #endif
@@ -578,6 +586,10 @@ struct Weighed {
 
 fn plus(sums: Weighed, more: vec3f) -> Weighed {
     return Weighed(sums.shown + more.x, sums.sun_depth + more.y, sums.distance_m + more.z);
+}
+
+fn times(sums: Weighed, factor: f32) -> Weighed {
+    return Weighed(sums.shown * factor, sums.sun_depth * factor, sums.distance_m * factor);
 }
 
 /// The light of a ray whose samples have been summed up. Light that was scattered often hardly changes along what a ray

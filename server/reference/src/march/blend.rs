@@ -154,6 +154,14 @@ impl<'a> Gathering<'a> {
         self.seen.add(weight, distance_m, sun_depth);
     }
 
+    /// As if every part showed `factor` times as much.
+    pub(super) fn scale(&mut self, factor: f64) {
+        for sum in &mut self.sums {
+            *sum *= factor;
+        }
+        self.seen.scale(factor);
+    }
+
     /// All of it. `around_place` tells what is around a place where a direction is up.
     pub(super) fn finished(
         &self,

@@ -232,8 +232,16 @@ pub fn gather_layer(
             gathering.add(weight, distance_m, sun_depth);
         },
     );
+    // What a ray that has ended early did not see is taken to be like the rest of it.
+    let ended = settings.early_exit && passed.transmittance < TRANSMITTANCE_MIN;
+    let transmittance = if ended {
+        gathering.scale(1.0 / (1.0 - passed.transmittance));
+        0.0
+    } else {
+        passed.transmittance
+    };
     let gathered = gathering.finished(
-        passed.transmittance,
+        transmittance,
         passed.optical_depth,
         passed.layer_distance_m,
         |place_m, up| surroundings(world, layer, place_m, up),

@@ -68,6 +68,15 @@ impl SeenParts {
         }
     }
 
+    /// As if every part showed `factor` times as much.
+    pub(super) fn scale(&mut self, factor: f64) {
+        for part in &mut self.parts {
+            part.shown *= factor;
+            part.weighted_distance_m *= factor;
+            part.weighted_sun_depth *= factor;
+        }
+    }
+
     /// The parts that show anything.
     pub(super) fn each(&self) -> impl Iterator<Item = &Seen> {
         self.parts.iter().filter(|part| part.shown > 0.0)
