@@ -19,7 +19,7 @@ pub struct Surroundings {
 }
 
 /// Samples of each way.
-pub const SURROUNDINGS_SAMPLES: u32 = 8;
+pub const SURROUNDINGS_SAMPLES: u32 = 4;
 /// How far they reach upright, m; sideways twice as far.
 pub const SURROUNDINGS_REACH_M: f64 = 1500.0;
 /// What a ray sees of a cloud within so much of where it first meets it is lit as one place, m; what lies farther back, as
