@@ -167,7 +167,8 @@ fn box_of_cloud(name: &str, center_m: [f64; 3], size_m: [f64; 3]) -> Value {
         "density": {"model": "homogeneous", "shape": {"form": "box", "center_m": center_m, "size_m": size_m}}})
 }
 
-/// Two slabs of finite width at different altitudes.
+/// Two slabs of finite width at different altitudes: within 42 km of every eye, where shadow is as the f64 twin has it. The
+/// twin knows no reach, the table fades shadow out as far as 60 km.
 fn boxes() -> Value {
     json!([
         box_of_cloud("near", [900.0, 1500.0, -700.0], [2500.0, 400.0, 3000.0]),
@@ -291,6 +292,23 @@ fn under_a_slab_over_everything_single_scattering_is_dimmed_by_its_transmittance
         assert!(
             off < SLAB_BOUND,
             "{extinction_per_m} per m, sun {elevation_deg}°: {off}"
+        );
+    }
+}
+
+#[test]
+fn beyond_the_last_sunbeam_air_is_lit() {
+    let scene = scene(&document(90.0, slab(1e3)));
+    let mut still = still(&scene);
+    let table = table(&mut still, 400_000.0);
+    // From the nadir: 7 km, 28 km and 73 km away from the line through eye and sun, where the ground is.
+    for (angle_deg, least, most) in [(1.0f64, 0.0, 0.95), (4.0, 0.0, 0.95), (10.3, 0.999, 1.0)] {
+        let (sin, cos) = angle_deg.to_radians().sin_cos();
+        let share = table.at(DVec3::new(sin, -cos, 0.0), f64::INFINITY);
+        println!("{angle_deg}°: {share:.4}");
+        assert!(
+            share.min_element() >= least && share.max_element() <= most,
+            "{angle_deg}°: {share}"
         );
     }
 }
