@@ -167,7 +167,8 @@ fn box_of_cloud(name: &str, center_m: [f64; 3], size_m: [f64; 3]) -> Value {
         "density": {"model": "homogeneous", "shape": {"form": "box", "center_m": center_m, "size_m": size_m}}})
 }
 
-/// Two slabs of finite width at different altitudes.
+/// Two slabs of finite width at different altitudes: within 42 km of every eye, where shadow is as the f64 twin has it. The
+/// twin knows no reach, the table fades shadow out as far as 60 km.
 fn boxes() -> Value {
     json!([
         box_of_cloud("near", [900.0, 1500.0, -700.0], [2500.0, 400.0, 3000.0]),
@@ -293,6 +294,32 @@ fn under_a_slab_over_everything_single_scattering_is_dimmed_by_its_transmittance
             "{extinction_per_m} per m, sun {elevation_deg}°: {off}"
         );
     }
+}
+
+/// Shares of all the air below an eye at 400 km over a slab that lets nothing through, by the angle from the nadir.
+fn shares_from_space(still: &mut StillRenderer, angles_deg: [f64; 3]) -> [DVec3; 3] {
+    let scene = scene(&document(90.0, slab(1e3)));
+    still.set_scene(scene).expect("a scene");
+    let table = table(still, 400_000.0);
+    angles_deg.map(|angle_deg| {
+        let (sin, cos) = angle_deg.to_radians().sin_cos();
+        table.at(DVec3::new(sin, -cos, 0.0), f64::INFINITY)
+    })
+}
+
+/// 7 km, 28 km and 73 km away from the line through eye and sun, where the ground is.
+const FROM_NADIR_DEG: [f64; 3] = [1.0, 4.0, 10.3];
+
+#[test]
+fn beyond_the_last_sunbeam_air_is_lit() {
+    let mut still = still(&scene(&document(90.0, slab(1e3))));
+    let found = shares_from_space(&mut still, FROM_NADIR_DEG);
+    println!("{found:.4?}");
+    assert!(
+        found[..2].iter().all(|s| s.max_element() < 0.95),
+        "{found:?}"
+    );
+    assert!(found[2].min_element() > 0.999, "{found:?}");
 }
 
 /// Mean of all colours' relative differences between radiance and f64, in shaded air beside boxes of cloud.
@@ -444,6 +471,14 @@ fn all_shaded(path: &str, source: &str) -> String {
     }
 }
 
+/// Air beyond the last sunbeam in that one's shadow.
+fn unfaded(path: &str, source: &str) -> String {
+    match path {
+        "sky/light_shafts.wgsl" => source.replace("(1.0 - here) * unknown", "0.0 * unknown"),
+        _ => source.to_owned(),
+    }
+}
+
 /// Half-planes that turn the other way.
 fn mirrored(path: &str, source: &str) -> String {
     match path {
@@ -484,6 +519,10 @@ fn planted_defects_are_found() {
     let off = off_under_a_slab(&mut still, 4e-3, 55.0);
     println!("all shaded, slab: {off:.4}");
     assert!(off > SLAB_BOUND, "{off}");
+    still.plant(Some(unfaded)).expect("a shader");
+    let found = shares_from_space(&mut still, FROM_NADIR_DEG);
+    println!("unfaded: {found:.4?}");
+    assert!(found[2].max_element() < 0.95, "{found:?}");
     still.plant(Some(shaded_ground)).expect("a shader");
     let errors = radiance_errors(&mut still);
     assert!(

@@ -361,8 +361,8 @@ mod tests {
             }
         }
         println!("at most {most} points, {worst:.5} off");
-        // Two points a step; the last step takes what is left, and is never needed.
-        assert!(most < 2 * STEPS_MAX, "{most} points");
-        assert!(worst < 0.01, "{worst}");
+        // Two points a step. The last step that a walk may have takes what is left; it is never needed.
+        assert!(most <= 2 * 64, "{most} points");
+        assert!(worst < 0.007, "{worst}");
     }
 }

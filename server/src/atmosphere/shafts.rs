@@ -7,6 +7,7 @@ use crate::gpu::{
 };
 use glam::DVec3;
 use half::f16;
+use skycell_protocol::scene::ranges::LAYERS_MAX;
 use skycell_shaders::{Features, Kernel, layout};
 
 /// Size of the table of shares, as in `sky/shafts.wgsl`: half-planes, angles from the sun, distances.
@@ -24,8 +25,6 @@ const SUBSTEPS_MAX: u32 = 12;
 const DISTANCE_SCALE_M: f64 = 8_000.0;
 /// Half-planes along a workgroup's side.
 const GROUP: u32 = 8;
-/// Layers that a scene may have.
-const LAYERS_MAX: usize = 4;
 
 /// A layer that throws shadow.
 #[derive(Clone, Copy, Debug)]
@@ -69,6 +68,15 @@ impl ShaftInputs {
             origin: f32s(self.origin),
             pad_origin: 0.0,
         }
+    }
+
+    /// What it is made with.
+    pub fn pipelines(&self) -> impl Iterator<Item = PipelineKey> {
+        let shadows = self
+            .layers
+            .iter()
+            .map(|layer| cloud_shadows_key(layer.features));
+        shadows.chain([make_shafts_key()])
     }
 
     /// Samples between two altitudes of a layer's shadow: a low sun's light has a longer way.
@@ -386,6 +394,22 @@ impl LightShafts {
         }))
     }
 
+    /// What the table is made for that is being made.
+    #[must_use]
+    pub fn building(&self) -> Option<&ShaftInputs> {
+        self.build.as_ref().map(|build| &build.inputs)
+    }
+
+    /// Drops what is being made.
+    pub fn drop_build(&mut self) {
+        self.build = None;
+    }
+
+    /// Lets nobody read the table any more.
+    pub fn drop_table(&mut self) {
+        self.front = None;
+    }
+
     /// Whether a table is being made.
     #[must_use]
     pub fn is_building(&self) -> bool {
@@ -423,6 +447,14 @@ impl LightShafts {
             None => SHARE_SIZE[1] * SHARE_STEPS,
         };
         Some((u64::from(per_azimuth), SHARE_SIZE[0] - build.azimuth))
+    }
+
+    /// Evaluations that the next strip takes at least.
+    #[must_use]
+    pub fn least_evaluations(&self) -> u64 {
+        self.next_work().map_or(0, |(per_azimuth, left)| {
+            per_azimuth * u64::from(left.min(GROUP))
+        })
     }
 
     /// Records the next strip, which takes about so many evaluations at most. Returns how many it takes, and whether the

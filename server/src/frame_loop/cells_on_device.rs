@@ -186,6 +186,7 @@ impl SkyRenderer {
         for id in ended {
             self.active_cells.remove(&id);
             self.caches.remove_cell(id);
+            self.shafts.remove_cell(id);
         }
         self.atlas.fit(&self.gpu, self.caches.slots_needed());
     }

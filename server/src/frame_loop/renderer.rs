@@ -63,6 +63,8 @@ pub(super) struct SkyRenderer {
     pub(super) pipelines: Pipelines,
     pub(super) timing: TimingRing,
     pub(super) field: FieldTextures,
+    /// Grows where maps or grids become others: what is made of them serves until it has been made anew.
+    pub(super) field_epoch: u64,
     pub(super) atlas: Atlas,
     pub(super) texel_march: TexelMarch,
     pub(super) audit: Audit,
@@ -159,6 +161,7 @@ impl SkyRenderer {
             gpu,
             pipelines,
             field,
+            field_epoch: 0,
             config,
         };
         renderer.set_scene(scene, scene_revision)?;
@@ -180,10 +183,10 @@ impl SkyRenderer {
             self.prepare_pipelines(&other)?;
         }
         let layout = &self.pipelines.field_layout;
-        if self
+        let grids_change = self
             .field
-            .set_grids(&self.gpu, layout, &scene, &self.config.grids_dir)
-        {
+            .set_grids(&self.gpu, layout, &scene, &self.config.grids_dir);
+        if grids_change {
             for cell in self.active_cells.values_mut() {
                 cell.buffers.set_field_group(&self.field.bind_group);
             }
@@ -202,6 +205,7 @@ impl SkyRenderer {
                 cell.buffers.set_field_group(&self.field.bind_group);
             }
         }
+        self.field_epoch += u64::from(grids_change || maps_change.content);
         let cloud_altitude_m = active.first().map_or(0.0, |layer| layer.proxy_altitude_m);
         let old = std::mem::replace(&mut self.scene, scene);
         if maps_change.content
@@ -235,6 +239,9 @@ impl SkyRenderer {
             } else {
                 self.age_by(&steps);
             }
+        }
+        if !self.has_light_shafts() {
+            self.shafts.clear();
         }
         let views: Vec<(ViewerId, ViewRequest)> =
             self.viewers.iter().map(|(id, v)| (*id, v.view)).collect();
@@ -423,11 +430,11 @@ impl SkyRenderer {
         match step {
             BlendStep::None => {}
             BlendStep::Moved => {
-                self.sun.outdate();
+                self.field_epoch += 1;
                 self.caches.refresh_all();
             }
             BlendStep::Ended => {
-                self.sun.outdate();
+                self.field_epoch += 1;
                 self.caches.age_all();
                 self.audit.restart();
             }

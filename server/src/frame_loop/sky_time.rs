@@ -292,6 +292,7 @@ impl SkyRenderer {
         let change = self
             .field
             .set_maps(&self.gpu, layout, &maps, &sheets, &self.config.maps_dir);
+        self.field_epoch += u64::from(change.content);
         if change.textures {
             for cell in self.active_cells.values_mut() {
                 cell.buffers.set_field_group(&self.field.bind_group);

@@ -12,7 +12,7 @@ use skycell_shaders::Features;
 use std::collections::BTreeMap;
 
 /// Beyond this turn of the sun at once its old volume tells nothing any more: rad.
-const TURN_MAX_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
+pub(super) const TURN_MAX_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
 /// Cells within this share of the finest level's width share a volume.
 const JOIN_SHARE: f64 = 0.125;
 /// Evaluations of density that go into volumes for each tile that may be marched meanwhile.
@@ -29,7 +29,7 @@ struct Held {
     clouds: Vec<CloudLayer>,
     /// What of the settings its densities depend on.
     noise: (bool, bool),
-    /// Of which state of the maps it is.
+    /// Of which state of maps and grids it is.
     epoch: u64,
     /// It was full once: what is read of it no longer depends on how far it is.
     is_ready: bool,
@@ -55,22 +55,10 @@ pub(super) struct SunVolumes {
     sites: Sites,
     held: BTreeMap<SiteId, Site>,
     next_number: u64,
-    /// Grows where maps are on their way to others.
-    epoch: u64,
     pub(super) counters: SunVolumeCounters,
 }
 
 impl SunVolumes {
-    /// Clouds have changed a little: what is known serves until it has been made anew.
-    pub(super) fn outdate(&mut self) {
-        self.epoch += 1;
-    }
-
-    /// Which state of the maps it is by now.
-    pub(super) fn epoch(&self) -> u64 {
-        self.epoch
-    }
-
     /// Forgets all columns: the clouds are others.
     pub(super) fn clear(&mut self) {
         self.held.clear();
@@ -167,7 +155,7 @@ impl SkyRenderer {
             number: self.sun.next_number,
             clouds: self.sun_clouds(),
             noise: self.sun_noise(),
-            epoch: self.sun.epoch,
+            epoch: self.field_epoch,
             is_ready: false,
         }
     }
@@ -257,7 +245,7 @@ impl SkyRenderer {
         }
         self.advance(&mut front, inputs, evaluations_left, UPDATE_SHARE);
         let is_old = front.volume.is_stale(inputs)
-            || front.epoch != self.sun.epoch
+            || front.epoch != self.field_epoch
             || front.clouds != clouds;
         if site.back.is_none() && is_old {
             site.back = Some(self.new_sun_volume(inputs));

@@ -110,14 +110,6 @@ impl SkyLight {
 }
 
 impl SkyLight {
-    /// Spectral irradiance of the sun at an altitude, facing it. The closed formula knows only that of the clouds.
-    #[must_use]
-    pub fn sun_at(&self, altitude_m: f64) -> DVec3 {
-        self.air.as_ref().map_or(self.irradiance_at_clouds, |air| {
-            self.sun_irradiance * air.sun_transmittance(altitude_m, self.sun_direction.y)
-        })
-    }
-
     /// Tables of the air, where it is no closed formula.
     #[must_use]
     pub fn air(&self) -> Option<&BaseTables> {

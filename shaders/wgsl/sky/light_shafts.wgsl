@@ -5,7 +5,7 @@
 #import skycell::air::{air_path, phase_rayleigh_per_sr}
 #import skycell::air_march::{air, Place, densities, extinction_per_m, place_along, sun_transmittance, higher_orders_per_sr}
 #import skycell::phase::phase_hg_per_sr
-#import skycell::shafts::{ShaftFrame, SHAFT_AZIMUTHS, SHAFT_ANGLES, SHAFT_SLICES, SHADOW_BEAMS, SHADOW_SLICES, across_of_azimuth, beam_place, distance_of_slice_m, texel_of}
+#import skycell::shafts::{ShaftFrame, SHAFT_AZIMUTHS, SHAFT_ANGLES, SHAFT_SLICES, SHADOW_BEAMS, SHADOW_SLICES, BEAM_FAR_M, across_of_azimuth, beam_place, distance_of_slice_m, texel_of}
 
 /// Half-planes that are made together.
 struct ShaftWork {
@@ -33,17 +33,23 @@ const GROUND_FAR_M: f32 = 400000.0;
 /// Least that is divided by; where no light is, none is shaded.
 const LEAST: f32 = 1e-30;
 
+/// Share of [`BEAM_FAR_M`] from which on shadow fades away: beyond the last sunbeam none is known.
+const FADE_SHARE: f32 = 0.7;
+
 /// Share of the sun's light that the layers let through to a place.
 fn sunlit_share(azimuth: f32, offset_m: f32, altitude: f32) -> f32 {
     var share = 1.0;
     let beam = texel_of(beam_place(offset_m), SHADOW_BEAMS);
+    let unknown = smoothstep(FADE_SHARE, 1.0, offset_m / BEAM_FAR_M);
     for (var i = 0u; i < work.layer_count; i += 1u) {
         let base_m = work.layers[i].x;
         let top_m = work.layers[i].y;
         let height = saturate((altitude - base_m) / max(top_m - base_m, 1e-3));
         let slice = (f32(i * SHADOW_SLICES) + 0.5 + height * f32(SHADOW_SLICES - 1u)) / f32(work.layer_count * SHADOW_SLICES);
         let kept = textureSampleLevel(shadows, shadow_sampler, vec3f(azimuth, beam, slice), 0.0).x;
-        share *= select(kept, 1.0, altitude >= top_m);
+        let here = select(kept, 1.0, altitude >= top_m);
+        // In this form exactly 1 where nothing shades.
+        share *= here + (1.0 - here) * unknown;
     }
     return share;
 }
