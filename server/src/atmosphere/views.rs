@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Size of the sky's table, as in `sky/air.wgsl`.
-const VIEW_SIZE: [u32; 2] = [96, 192];
+const VIEW_SIZE: [u32; 2] = [192, 256];
 /// Size of the haze's table: azimuths, elevations, distances.
 const HAZE_SIZE: [u32; 3] = [32, 56, 31];
 /// Distances of the haze's extinction.
@@ -25,16 +25,33 @@ const LOW_STEP: f64 = 0.02;
 const LOW_M: f64 = 250.0;
 /// Step of altitude relative to it and a kilometre, higher up.
 const HIGH_STEP: f64 = 0.001;
+/// Altitude from which steps are finer, m: rays at the limb then pass the last of the air, some 100 m of it at 100 km.
+const THIN_M: f64 = 30_000.0;
+/// Step of altitude relative to it and a kilometre, from there.
+const THIN_STEP: f64 = 0.0002;
 
-/// Altitudes with one key share their tables: steps of 2 % near the ground, of 1.3 m at 250 m, of 11 m at 10 km.
+/// Steps of altitude from the ground to where the next part of the scale begins.
+fn steps_below_high() -> f64 {
+    LOW_M.ln_1p() / LOW_STEP
+}
+
+fn steps_below_thin() -> f64 {
+    steps_below_high() + ((THIN_M + 1_000.0) / (LOW_M + 1_000.0)).ln() / HIGH_STEP
+}
+
+/// Altitudes with one key share their tables: steps of 2 % near the ground, of 1.3 m at 250 m, of 11 m at 10 km, of 20 m at
+/// 100 km.
 #[must_use]
 pub fn key_of_altitude(altitude_m: f64) -> i32 {
+    let above = |from_m: f64| ((altitude_m + 1_000.0) / (from_m + 1_000.0)).ln();
     let steps = if altitude_m < 0.0 {
         altitude_m / 5.0
     } else if altitude_m < LOW_M {
         altitude_m.ln_1p() / LOW_STEP
+    } else if altitude_m < THIN_M {
+        steps_below_high() + above(LOW_M) / HIGH_STEP
     } else {
-        LOW_M.ln_1p() / LOW_STEP + ((altitude_m + 1_000.0) / (LOW_M + 1_000.0)).ln() / HIGH_STEP
+        steps_below_thin() + above(THIN_M) / THIN_STEP
     };
     steps.round() as i32
 }
@@ -42,13 +59,16 @@ pub fn key_of_altitude(altitude_m: f64) -> i32 {
 /// Altitude in the middle of those with a key.
 fn altitude_of_key(key: i32) -> f64 {
     let steps = f64::from(key);
-    let low = LOW_M.ln_1p() / LOW_STEP;
+    let (high, thin) = (steps_below_high(), steps_below_thin());
+    let above = |from_m: f64, folds: f64| (from_m + 1_000.0) * folds.exp() - 1_000.0;
     if steps < 0.0 {
         steps * 5.0
-    } else if steps < low {
+    } else if steps < high {
         (steps * LOW_STEP).exp_m1()
+    } else if steps < thin {
+        above(LOW_M, (steps - high) * HIGH_STEP)
     } else {
-        (LOW_M + 1_000.0) * ((steps - low) * HIGH_STEP).exp() - 1_000.0
+        above(THIN_M, (steps - thin) * THIN_STEP)
     }
 }
 

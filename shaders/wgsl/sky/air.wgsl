@@ -36,9 +36,9 @@ const OZONE_MIDDLE_M: f32 = 25000.0;
 const OZONE_HALF_WIDTH_M: f32 = 15000.0;
 
 /// Texels of the sky's table: across by azimuth, first rows towards the sky, then towards the ground.
-const VIEW_COLUMNS: u32 = 96u;
-const VIEW_SKY_ROWS: u32 = 120u;
-const VIEW_GROUND_ROWS: u32 = 72u;
+const VIEW_COLUMNS: u32 = 192u;
+const VIEW_SKY_ROWS: u32 = 160u;
+const VIEW_GROUND_ROWS: u32 = 96u;
 /// Texels of the haze's tables, whose slices are distances. Mean extinction bends more than the source does, and has no
 /// columns: it has more of them.
 const HAZE_COLUMNS: u32 = 32u;
@@ -112,20 +112,21 @@ fn sky_rows(radius_m: f32, scale_m: f32, altitude_m: f32) -> SkyRows {
 }
 
 /// The elevation's place among the rows, 0 at the viewer's own horizon. From outside of the air, where only directions up
-/// to the air's upper rim have any, it is the root of the cosine's share between both rims. Towards the ground a
+/// to the air's upper rim have any, it is the root of the lowest place's altitude as a share of the air's: rays that pass
+/// the same air have the same row from wherever they come. Towards the ground a
 /// cosine of it goes with the distance's logarithm in that of the horizon: dense there, and even in angle around the nadir.
 fn elevation_place(medium: Air, altitude_m: f32, mu: f32, on_ground: bool) -> f32 {
     let radius_m = medium.radius_m;
     let top_m = medium.top_m;
     let from_centre = radius_m + altitude_m;
-    let horizon = mu_horizon(radius_m, altitude_m);
     let rows = sky_rows(radius_m, medium.row_scale_m, altitude_m);
     let level = sqrt(max(1.0 - mu * mu, 0.0));
     let sine = max(mu * rows.cosine_dip + level * rows.sine_dip, 0.0);
     let cosine = level * rows.cosine_dip - mu * rows.sine_dip;
     let inside = saturate(log(1.0 + sine / (max(1.0 + cosine, 1e-6) * rows.near)) / rows.span);
-    let rim = -sqrt(max((altitude_m - top_m) * (altitude_m + top_m + 2.0 * radius_m), 0.0)) / from_centre;
-    let limb = sqrt(saturate((mu - horizon) / max(rim - horizon, 1e-7)));
+    // The lowest place of a ray from outside, without a difference of radii; upwards there is no air.
+    let lowest_m = altitude_m - from_centre * mu * mu / (1.0 + level);
+    let limb = sqrt(saturate(select(lowest_m / top_m, 1.0, mu > 0.0)));
     let h = max(altitude_m, GROUND_NEAREST_M);
     let c = h * (h + 2.0 * radius_m);
     let b = from_centre * mu;
@@ -145,8 +146,9 @@ fn mu_of_elevation(medium: Air, place: f32, on_ground: bool) -> f32 {
     let rows = sky_rows(radius_m, medium.row_scale_m, altitude_m);
     let w = rows.near * (exp(place * rows.span) - 1.0);
     let inside = (2.0 * w * rows.cosine_dip - (1.0 - w * w) * rows.sine_dip) / (1.0 + w * w);
-    let rim = -sqrt(max((altitude_m - top_m) * (altitude_m + top_m + 2.0 * radius_m), 0.0)) / from_centre;
-    let sky = select(clamp(inside, horizon, 1.0), mix(horizon, rim, place * place), altitude_m > top_m);
+    let lowest_m = top_m * place * place;
+    let limb = -sqrt(max((altitude_m - lowest_m) * (altitude_m + lowest_m + 2.0 * radius_m), 0.0)) / from_centre;
+    let sky = select(clamp(inside, horizon, 1.0), max(limb, horizon), altitude_m > top_m);
     let h = max(altitude_m, GROUND_NEAREST_M);
     let c = h * (h + 2.0 * radius_m);
     let ground_m = h * exp((0.5 - 0.5 * cos(PI * place)) * (0.5 * log(c) - log(h)));
