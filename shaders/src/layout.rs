@@ -610,8 +610,8 @@ gpu_struct! {
         jitter: f32,
         /// Binary logarithm of the side of the squares that are dithered as one, pixels.
         dither_shift: u32,
-        /// Fills to 8 bytes.
-        pad_first: u32,
+        /// Most places along a ray at which it is searched for what cached texels show; 0: proxy spheres alone.
+        parallax_steps: u32,
         /// Fills to 16 bytes.
         pad_view: [u32; 2],
     }

@@ -192,6 +192,8 @@ pub struct Features {
     pub exact_interpolation: bool,
     /// Texture reads of the march are counted.
     pub count_reads: bool,
+    /// Viewers look for what cached texels show along their own rays (composite).
+    pub parallax: bool,
     /// Rays come from a list instead of a pinhole camera (screen-space renderer).
     pub ray_list: bool,
     /// Rays fill a frame of a temporal window (screen-space renderer).
@@ -231,6 +233,7 @@ impl Default for Features {
             catmull_rom: true,
             linear_output: false,
             screen_space: false,
+            parallax: false,
             exact_interpolation: false,
             count_reads: false,
             ray_list: false,
@@ -271,6 +274,7 @@ impl Features {
                 linear_output: bits & 2 != 0,
                 count_reads: bits & 2 != 0,
                 screen_space: bits & 4 != 0,
+                parallax: bits & 8 != 0,
                 ray_list: bits & 12 == 4,
                 window: bits & 12 == 12,
                 window_frames: bits + 1,
@@ -319,6 +323,7 @@ impl Features {
             ("CATMULL_ROM", self.catmull_rom),
             ("LINEAR_OUTPUT", self.linear_output),
             ("SCREEN_SPACE", self.screen_space),
+            ("PARALLAX", self.parallax && !self.screen_space),
             ("EXACT_INTERPOLATION", self.exact_interpolation),
             ("COUNT_READS", self.count_reads),
             ("RAY_LIST", self.ray_list),

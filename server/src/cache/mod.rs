@@ -49,6 +49,8 @@ pub struct TileUpdate {
     pub sample_index: u32,
     /// Share of the sample in the new value.
     pub weight: f32,
+    /// Where the rays of the new value started on the mean, in the frame that drifts with the layer.
+    pub shown_from: DVec3,
 }
 
 /// All spheres of all cells over one pool of slots.
@@ -188,7 +190,6 @@ impl Caches {
             sphere.plan_at(reference);
             let samples = sphere.samples().unwrap_or(all_samples);
             sphere.candidates(samples, reference, self.is_calm, &mut found);
-            //.samples_of(sphere), reference, self.is_calm, &mut found);
             candidates.extend(found.drain(..).map(|candidate| (*id, reference, candidate)));
         }
         candidates.sort_unstable_by(|a, b| a.2.rank(&b.2).then(a.0.cmp(&b.0)));
@@ -216,13 +217,14 @@ impl Caches {
                 let samples = sphere.samples().unwrap_or(samples);
                 sphere.sample(candidate.key, samples, reference)
             });
-            if let Some((slot, sample_index, weight)) = sample {
+            if let Some(sample) = sample {
                 updates.push(TileUpdate {
                     sphere: id,
                     key: candidate.key,
-                    slot,
-                    sample_index,
-                    weight,
+                    slot: sample.slot,
+                    sample_index: sample.index,
+                    weight: sample.weight,
+                    shown_from: sample.shown_from,
                 });
             }
         }

@@ -33,6 +33,10 @@ pub struct ProxySphere {
     pub anchor: DVec3,
     /// Altitude of the sphere, m.
     pub altitude_m: f64,
+    /// Where rays start, in the cell's frame.
+    pub reference: DVec3,
+    /// Altitudes between which a viewer away from there looks for what a texel shows, m; without, on the sphere alone.
+    pub seen_between_m: Option<[f64; 2]>,
 }
 
 impl ProxySphere {
@@ -43,6 +47,21 @@ impl ProxySphere {
             .frame
             .distance_to_shell_m(self.anchor, from_anchor, self.altitude_m);
         self.anchor + from_anchor * distance
+    }
+
+    /// Where what the texel at a point of the sphere shows may be: on its ray.
+    fn seen_at(&self, point: DVec3) -> impl Iterator<Item = DVec3> {
+        let along = (point - self.reference).normalize_or_zero();
+        let ends = self.seen_between_m.map(|ends_m| {
+            ends_m.map(|altitude_m| {
+                let distance_m = self
+                    .frame
+                    .distance_to_shell_m(self.reference, along, altitude_m);
+                self.reference + along * distance_m
+            })
+        });
+        let [low, high] = ends.unwrap_or([point; 2]);
+        [low, high].into_iter()
     }
 }
 
@@ -64,27 +83,38 @@ impl ViewFrustum {
     }
 }
 
-/// A cone that holds a tile as seen from a point.
-struct Cone {
+/// Places of a tile that stand for all of it: three by three, each at both ends of where it may be seen.
+const PLACES: usize = 18;
+
+/// A tile as seen from a point.
+struct SeenTile {
+    /// Towards its middle.
     axis: DVec3,
-    half_angle_rad: f64,
+    /// Towards its places.
+    directions: [DVec3; PLACES],
+    /// How far its edges may bulge beyond these: less than a tenth of its own half angle.
+    bulge_rad: f64,
     /// Distance of its nearest part, m.
     distance_m: f64,
     /// Solid angle of the tile's sphere element seen from the eye, relative to that seen from the anchor.
     solid_angle_ratio: f64,
 }
 
-fn tile_cone(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> Cone {
+fn seen_tile(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> SeenTile {
     let middle = sphere.point(tile.direction(DVec2::splat(0.5)));
     let axis = (middle - eye).normalize_or_zero();
     let mut half_angle_rad: f64 = 0.0;
+    // The middle of a tile at the horizon may be on the other side of the planet.
     let mut nearest_m = f64::INFINITY;
-    for y in 0..3 {
-        for x in 0..3 {
-            let within = DVec2::new(f64::from(x), f64::from(y)) / 2.0;
-            let from_eye = sphere.point(tile.direction(within)) - eye;
+    let mut directions = [DVec3::ZERO; PLACES];
+    for (index, pair) in directions.chunks_exact_mut(2).enumerate() {
+        let within = DVec2::new((index % 3) as f64, (index / 3) as f64) / 2.0;
+        let point = sphere.point(tile.direction(within));
+        half_angle_rad = half_angle_rad.max(axis.angle_between((point - eye).normalize_or_zero()));
+        for (direction, seen) in pair.iter_mut().zip(sphere.seen_at(point)) {
+            let from_eye = seen - eye;
             nearest_m = nearest_m.min(from_eye.length());
-            half_angle_rad = half_angle_rad.max(axis.angle_between(from_eye.normalize_or_zero()));
+            *direction = from_eye.normalize_or_zero();
         }
     }
     let from_anchor = middle - sphere.anchor;
@@ -94,26 +124,25 @@ fn tile_cone(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> Cone {
     let solid_angle_ratio = from_anchor.length_squared() / from_eye.length_squared().max(1.0)
         * slant(from_eye)
         / slant(from_anchor);
-    Cone {
+    SeenTile {
         axis,
-        // Edges bulge between the nine points by less than a tenth.
-        half_angle_rad: 1.1 * half_angle_rad,
-        // The middle of a tile at the horizon may be on the other side of the planet.
+        directions,
+        bulge_rad: 0.1 * half_angle_rad,
         distance_m: nearest_m,
         solid_angle_ratio,
     }
 }
 
-fn may_be_seen(cone: &Cone, planes: &[DVec3], horizon_dip_rad: f64) -> bool {
-    let elevation_rad = cone.axis.y.clamp(-1.0, 1.0).asin();
-    if elevation_rad + cone.half_angle_rad < -horizon_dip_rad {
-        return false;
-    }
-    // A cone wider than a right angle reaches behind every plane.
-    cone.half_angle_rad >= std::f64::consts::FRAC_PI_2
-        || planes
+/// Whether some of a tile may be in front of all planes and above the horizon.
+fn may_be_seen(tile: &SeenTile, planes: &[DVec3], horizon_dip_rad: f64) -> bool {
+    let reach = tile.bulge_rad.min(std::f64::consts::FRAC_PI_2).sin();
+    let lowest = -(horizon_dip_rad + tile.bulge_rad)
+        .min(std::f64::consts::FRAC_PI_2)
+        .sin();
+    tile.directions.iter().any(|d| d.y >= lowest)
+        && planes
             .iter()
-            .all(|plane| plane.dot(cone.axis) >= -cone.half_angle_rad.sin())
+            .all(|plane| tile.directions.iter().any(|d| plane.dot(*d) >= -reach))
 }
 
 /// Angle of the horizon below the horizontal at an altitude.
@@ -152,21 +181,21 @@ pub fn requested_tiles(
     let mut requests = Vec::new();
     let mut open: Vec<TileKey> = TileKey::all_of(0).collect();
     while let Some(tile) = open.pop() {
-        let cone = tile_cone(sphere, tile, view.position);
-        if !may_be_seen(&cone, &planes, dip_rad) {
+        let seen = seen_tile(sphere, tile, view.position);
+        if !may_be_seen(&seen, &planes, dip_rad) {
             continue;
         }
         // A pixel θ off the middle has cos³θ of the solid angle.
-        let mu = cone.axis.dot(view.forward).max(0.2);
+        let mu = seen.axis.dot(view.forward).max(0.2);
         let pixel_sr = view.pixel_angle_rad.powi(2) * mu.powi(3);
-        let texel_sr = texel_solid_angle_sr(tile.level) * cone.solid_angle_ratio;
+        let texel_sr = texel_solid_angle_sr(tile.level) * seen.solid_angle_ratio;
         if (texel_sr / pixel_sr).sqrt() > allowed && tile.level + 1 < LEVELS {
             open.extend(tile.children());
         } else {
             requests.push(TileRequest {
                 key: tile,
-                eccentricity_rad: cone.axis.angle_between(view.forward),
-                distance_m: cone.distance_m,
+                eccentricity_rad: seen.axis.angle_between(view.forward),
+                distance_m: seen.distance_m,
             });
         }
     }
@@ -179,11 +208,11 @@ pub fn coarse_tiles(sphere: &ProxySphere, eye: DVec3) -> Vec<TileRequest> {
     let dip_rad = horizon_dip_rad(&sphere.frame, eye);
     TileKey::all_of(0)
         .filter_map(|key| {
-            let cone = tile_cone(sphere, key, eye);
-            may_be_seen(&cone, &[], dip_rad).then_some(TileRequest {
+            let seen = seen_tile(sphere, key, eye);
+            may_be_seen(&seen, &[], dip_rad).then_some(TileRequest {
                 key,
-                eccentricity_rad: std::f64::consts::FRAC_PI_2 - cone.axis.y.clamp(-1.0, 1.0).asin(),
-                distance_m: cone.distance_m,
+                eccentricity_rad: std::f64::consts::FRAC_PI_2 - seen.axis.y.clamp(-1.0, 1.0).asin(),
+                distance_m: seen.distance_m,
             })
         })
         .collect()
@@ -218,6 +247,17 @@ mod tests {
             frame: CellFrame::at(DVec3::ZERO, 6.36e6),
             anchor: DVec3::new(300.0, 0.0, -200.0),
             altitude_m: 2_200.0,
+            reference: DVec3::ZERO,
+            seen_between_m: None,
+        }
+    }
+
+    /// What a viewer away from the reference sees between two altitudes.
+    fn sphere_of(reference: DVec3) -> ProxySphere {
+        ProxySphere {
+            reference,
+            seen_between_m: Some([1_500.0, 4_000.0]),
+            ..sphere()
         }
     }
 
@@ -245,6 +285,43 @@ mod tests {
                         tiles.contains(&TileKey { level, x: at.x as u16, y: at.y as u16 })
                     });
                     prop_assert!(found, "pixel {column} {row}");
+                }
+            }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+        /// The oracle walks the pixels and the altitudes: the ray from the reference to what is seen there must pass the sphere
+        /// in a requested tile.
+        #[test]
+        fn whatever_is_seen_from_beside_the_reference_has_its_tile(
+            yaw in 0.0..360.0f64, pitch in -10.0..80.0f64, fov in 20.0..90.0f64, x in -3e3..3e3f64, z in -3e3..3e3f64,
+        ) {
+            let view = view(yaw, pitch, fov, 64, 36);
+            let sphere = sphere_of(DVec3::new(x, 2.0, z));
+            let tiles: std::collections::HashSet<TileKey> =
+                requested_tiles(&view, &sphere, 0.0).iter().map(|r| r.key).collect();
+            for row in (0..36).step_by(3) {
+                for column in (0..64).step_by(3) {
+                    let x = 2.0 * (f64::from(column) + 0.5) / 64.0 - 1.0;
+                    let y = 1.0 - 2.0 * (f64::from(row) + 0.5) / 36.0;
+                    let direction = (view.forward + x * view.right + y * view.up).normalize();
+                    if direction.y < 0.0 { continue; }
+                    for altitude_m in [1_500.0, 2_200.0, 3_000.0, 4_000.0] {
+                        let seen_m = sphere.frame.distance_to_shell_m(view.position, direction, altitude_m);
+                        let seen = view.position + direction * seen_m;
+                        let along = (seen - sphere.reference).normalize();
+                        let shell_m = sphere.frame.distance_to_shell_m(sphere.reference, along, sphere.altitude_m);
+                        let place = sphere.reference + along * shell_m - sphere.anchor;
+                        let square = octahedral_from_direction(place.normalize());
+                        let found = (0..LEVELS).any(|level| {
+                            let side = f64::from(TileKey::tiles_per_side(level));
+                            let at = (square * side).floor().min(DVec2::splat(side - 1.0));
+                            tiles.contains(&TileKey { level, x: at.x as u16, y: at.y as u16 })
+                        });
+                        prop_assert!(found, "pixel {column} {row} at {altitude_m} m");
+                    }
                 }
             }
         }

@@ -52,6 +52,8 @@ pub(super) struct Tile {
     sampled: Option<Instant>,
     /// Reference point at the last sample, in the frame that drifts with the layer's wind.
     marched_from: DVec3,
+    /// Mean of the reference points of all that is in the mixture, in the same frame.
+    shown_from: DVec3,
     /// How far the noise had risen through the clouds at the last sample, m.
     evolved_m: f64,
     /// How often the clouds had changed a little.
@@ -117,6 +119,18 @@ pub(super) enum Urgency {
     Unfinished,
     /// Seen from elsewhere than where the reference is now.
     Aged,
+}
+
+/// A sample that a tile takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Sample {
+    pub(super) slot: Slot,
+    /// Which of the jittered samples.
+    pub(super) index: u32,
+    /// Its share of the new value.
+    pub(super) weight: f32,
+    /// Mean reference point of the new value, in the frame that drifts with the layer.
+    pub(super) shown_from: DVec3,
 }
 
 /// An update that a sphere would like.
@@ -399,6 +413,7 @@ impl SphereCache {
                 visits: 0,
                 generation: self.generation,
                 marched_from: DVec3::ZERO,
+                shown_from: DVec3::ZERO,
                 evolved_m: 0.0,
                 refreshes: self.refreshes,
                 sampled: None,
@@ -410,13 +425,13 @@ impl SphereCache {
         );
     }
 
-    /// Notes that a tile takes a sample now; returns its slot, the index of the sample and its share of the new value.
+    /// Notes that a tile takes a sample now.
     pub(super) fn sample(
         &mut self,
         key: TileKey,
         samples: u32,
         reference: DVec3,
-    ) -> Option<(Slot, u32, f32)> {
+    ) -> Option<Sample> {
         let want = self.wanted.get(&key).copied();
         let distance_m = want.map_or(1.0, |want| want.distance_m);
         let owed = want.map_or(samples, |want| want.samples(samples));
@@ -460,10 +475,20 @@ impl SphereCache {
         tile.visits = tile.visits.wrapping_add(1).max(1);
         tile.generation = self.generation;
         tile.marched_from = reference;
+        tile.shown_from = if weight < 1.0 {
+            tile.shown_from.lerp(reference, f64::from(weight))
+        } else {
+            reference
+        };
         tile.evolved_m = self.evolved_m;
         tile.refreshes = self.refreshes;
         tile.sampled = Some(Instant::now());
-        Some((tile.slot, index, weight))
+        Some(Sample {
+            slot: tile.slot,
+            index,
+            weight,
+            shown_from: tile.shown_from,
+        })
     }
 
     /// How far what a tile's mixture shows is behind: its reference, and the noise in it, since its last sample, and what that

@@ -26,6 +26,18 @@ pub fn with_shared_background(key: PipelineKey) -> PipelineKey {
     }
 }
 
+/// A composite that looks for what texels show along the viewer's own rays.
+#[must_use]
+pub fn with_parallax(key: PipelineKey) -> PipelineKey {
+    PipelineKey {
+        features: Features {
+            parallax: true,
+            ..key.features
+        },
+        ..key
+    }
+}
+
 /// What a composite is specialised to.
 #[must_use]
 pub fn composite_key(
@@ -118,6 +130,7 @@ pub fn ground_key(key: PipelineKey) -> PipelineKey {
             own_phases: false,
             overlap: false,
             catmull_rom: false,
+            parallax: false,
             moon: false,
             stars: false,
             ..key.features

@@ -8,6 +8,7 @@ mod tests;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
+use crate::quality::PARALLAX_STEPS_MAX;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use skycell_protocol::QualityChoice;
@@ -36,6 +37,8 @@ pub const MIP_BIAS: NumberRange = NumberRange::new(0.0, 4.0);
 pub const SAMPLES: NumberRange = NumberRange::new(1.0, 16.0);
 /// GPU memory for caches.
 pub const CACHE_MEMORY_MIB: NumberRange = NumberRange::new(16.0, 65_536.0);
+/// Places of a search for what texels show.
+pub const PARALLAX_STEPS: NumberRange = NumberRange::new(0.0, PARALLAX_STEPS_MAX as f64);
 /// Steps of the march through the clouds.
 pub const MARCH_STEPS: NumberRange = NumberRange::new(1.0, 4096.0);
 
@@ -79,6 +82,9 @@ pub struct RenderConfig {
     pub march_steps: Option<u32>,
     /// How caches are read for a frame. Without: what the quality says.
     pub frame_filter: Option<FrameFilter>,
+    /// Most places along a ray at which viewers away from a reference look for what texels show. Without: what the quality
+    /// says, and less on a software driver.
+    pub parallax_steps: Option<u32>,
     /// Where noise volumes are kept between runs.
     pub noise_cache_dir: PathBuf,
     /// Where the files of voxels lie that scenes name: `grids` in the folder of the state.
@@ -123,6 +129,7 @@ impl RenderConfig {
             cache_memory_mib: 256,
             march_steps: None,
             frame_filter: None,
+            parallax_steps: None,
             grids_dir: noise_cache_dir.join("grids"),
             maps_dir: noise_cache_dir.join("maps"),
             noise_cache_dir,
@@ -138,6 +145,7 @@ impl RenderConfig {
             "cache_memory_mib",
             "march_steps",
             "frame_filter",
+            "parallax_steps",
             "noise_cache_dir",
         ])?;
         Ok(Self {
@@ -163,6 +171,12 @@ impl RenderConfig {
                 None => default.march_steps,
             },
             frame_filter: members.optional("frame_filter")?.or(default.frame_filter),
+            parallax_steps: match members.optional::<u32>("parallax_steps")? {
+                Some(steps) => {
+                    Some(PARALLAX_STEPS.check_u32(&members.pointer_of("parallax_steps"), steps)?)
+                }
+                None => default.parallax_steps,
+            },
             noise_cache_dir: members
                 .optional::<String>("noise_cache_dir")?
                 .map_or(default.noise_cache_dir, PathBuf::from),

@@ -42,6 +42,7 @@ const KEYS: &[(&str, Kind)] = &[
     ("render/cache_memory_mib", Kind::Number),
     ("render/march_steps", Kind::Number),
     ("render/frame_filter", Kind::Text),
+    ("render/parallax_steps", Kind::Number),
     ("render/noise_cache_dir", Kind::Text),
 ];
 

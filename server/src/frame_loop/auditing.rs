@@ -135,8 +135,10 @@ impl SkyRenderer {
             frame: cell.frame,
             anchor: self.anchor_m(cell, sphere.layer as usize),
             altitude_m: layer.proxy_altitude_m,
+            reference: cell.frame.from_world(cell.reference_m),
+            seen_between_m: None,
         };
-        Some((proxy, cell.frame.from_world(cell.reference_m)))
+        Some((proxy, proxy.reference))
     }
 
     /// Runs the pass once for a tile that was just marched; its answer is to be thrown away.

@@ -5,9 +5,9 @@ use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
 use crate::composite::view_frustum;
-use crate::march::{CellBuffers, CellFrame, MarchSettings, scene_uniform};
+use crate::march::{ActiveLayer, CellBuffers, CellFrame, MarchSettings, scene_uniform};
 use glam::DVec3;
-use skycell_protocol::{Camera, CellId, ViewerId};
+use skycell_protocol::{Camera, CellId, Scene, ViewerId};
 use std::time::{Duration, Instant};
 
 /// Beyond this distance between anchor and reference the cache's texels no longer have even sizes for the viewers.
@@ -23,6 +23,12 @@ const SPHERE_HEIGHT_MIN_M: f64 = 100.0;
 const REQUESTS_INTERVAL: Duration = Duration::from_millis(50);
 /// Where ages of tiles are looked at, tables tell them this often.
 const AGES_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Base and top of a layer that are this far apart in a viewer's picture and no farther look as they do from the reference,
+/// pixels.
+const PARALLAX_PIXELS: f64 = 1.0;
+/// Layers are not looked at from nearer, m.
+const LAYER_NEAREST_M: f64 = 10.0;
 
 /// Where a layer's addresses are centred: follows the layer's wind.
 #[derive(Clone, Copy, Debug)]
@@ -52,6 +58,31 @@ pub(super) struct ActiveCell {
     ages_written: Instant,
     /// Measures the light of the sky, where exposure follows it.
     pub(super) meter: Option<Meter>,
+}
+
+/// Most places at which a viewer of a cell looks for what texels show: none where what it sees would not be told apart from
+/// what the reference sees.
+pub(super) fn parallax_steps(
+    scene: &Scene,
+    active: &[ActiveLayer],
+    viewer: &ActiveViewer,
+    reference_m: DVec3,
+) -> u32 {
+    let camera = &viewer.view.camera;
+    let away_m = DVec3::from_array(camera.position_m()).distance(reference_m);
+    let pixel_rad = 2.0 * (camera.vertical_fov_deg().to_radians() / 2.0).tan()
+        / f64::from(viewer.view.size.height());
+    let is_seen = active.iter().any(|layer| {
+        let layer = &scene.layers()[layer.scene_index];
+        let [base_m, top_m] = [layer.base_altitude_m(), layer.top_altitude_m()]
+            .map(|altitude_m| (altitude_m - reference_m.y).abs().max(LAYER_NEAREST_M));
+        away_m * (1.0 / base_m - 1.0 / top_m).abs() > PARALLAX_PIXELS * pixel_rad
+    });
+    if is_seen {
+        viewer.quality.settings.parallax_steps
+    } else {
+        0
+    }
 }
 
 impl SkyRenderer {
@@ -210,6 +241,13 @@ impl SkyRenderer {
         Some(cell.reference_m - self.drifts[layer.scene_index].with_y(0.0))
     }
 
+    /// Anchor of a sphere in the frame that drifts with its layer, where it stays.
+    pub(super) fn drifting_anchor(&self, sphere: SphereId) -> Option<DVec3> {
+        let cell = self.active_cells.get(&sphere.cell)?;
+        let anchor = cell.anchors.get(sphere.layer as usize)?;
+        Some(anchor.at_start_m - anchor.drift_at_start_m.with_y(0.0))
+    }
+
     /// Brings everything that the caches and the device know of cells up to the present: anchors that have drifted,
     /// requests of viewers that have turned, new page tables.
     pub(super) fn refresh_cells(&mut self) {
@@ -275,21 +313,35 @@ impl SkyRenderer {
                     frame: cell.frame,
                     anchor: *anchor,
                     altitude_m: layer.proxy_altitude_m,
+                    reference: eye,
+                    seen_between_m: None,
                 })
                 .collect();
-            if drifted || cell.coarse.len() != spheres.len() {
+            // By drift, or because the reference has moved.
+            let moved = drifted || cell.coarse.len() != spheres.len();
+            if moved {
                 cell.coarse = spheres.iter().map(|s| coarse_tiles(s, eye)).collect();
             }
             for viewer in self.viewers.values_mut().filter(|v| v.cell == id) {
                 if !viewer.reads_cache() {
                     continue;
                 }
-                if drifted || viewer.requests.len() != spheres.len() {
+                if moved || viewer.requests.len() != spheres.len() {
                     let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
                     let mip_bias = viewer.quality.settings.mip_bias;
+                    let steps = parallax_steps(&self.scene, &self.active, viewer, cell.reference_m);
                     viewer.requests = spheres
                         .iter()
-                        .map(|s| requested_tiles(&frustum, s, mip_bias))
+                        .zip(&self.active)
+                        .map(|(sphere, layer)| {
+                            let layer = &self.scene.layers()[layer.scene_index];
+                            let between_m = [layer.base_altitude_m(), layer.top_altitude_m()];
+                            let sphere = ProxySphere {
+                                seen_between_m: (steps > 0).then_some(between_m),
+                                ..*sphere
+                            };
+                            requested_tiles(&frustum, &sphere, mip_bias)
+                        })
                         .collect();
                 }
             }

@@ -48,6 +48,12 @@ impl SkyRenderer {
             return updates;
         }
         self.atlas.fit(&self.gpu, self.caches.slots_needed());
+        for update in &updates {
+            if let Some(anchor_m) = self.drifting_anchor(update.sphere) {
+                let from_anchor_m = update.shown_from - anchor_m;
+                self.atlas.set_origin(&self.gpu, update.slot, from_anchor_m);
+            }
+        }
         let mut by_sphere: BTreeMap<SphereId, Vec<TileUpdate>> = BTreeMap::new();
         for update in &updates {
             by_sphere.entry(update.sphere).or_default().push(*update);
@@ -229,8 +235,12 @@ impl SkyRenderer {
         let view = self.view_of(viewer)?;
         let (shown, _) = self.shown_to(viewer);
         let shafts = self.shaft_reader(viewer.cell);
-        let cell = self.active_cells.get_mut(&viewer.cell)?;
         let screen_space = viewer.kind == RendererKind::ScreenSpace;
+        let filter = viewer.quality.settings.frame_filter;
+        let blend = LayerBlend::of(&self.scene, &self.active);
+        let plain = frame_key(&self.gpu, &self.scene, filter, blend, screen_space);
+        let plain = self.key_for(viewer, plain);
+        let cell = self.active_cells.get_mut(&viewer.cell)?;
         let (layers, view) = match (screen_space, &viewer.screen_space) {
             (true, Some(job)) => (job.marched().read_group().clone(), job.view()),
             (true, None) => return None,
@@ -252,9 +262,6 @@ impl SkyRenderer {
             cell.buffers.scene_group.clone(),
             cell.buffers.field_group().clone(),
         );
-        let filter = viewer.quality.settings.frame_filter;
-        let blend = LayerBlend::of(&self.scene, &self.active);
-        let plain = frame_key(&self.gpu, &self.scene, filter, blend, screen_space);
         let inputs = CompositeInputs {
             key: shown_key(plain, shown),
             scene: &scene,

@@ -62,6 +62,9 @@ pub(super) struct Qualities {
 /// Mean FLIP that a software driver aims at where nobody says anything: what two cores can march for a few viewers.
 const SOFTWARE_MAX_ERROR: f64 = 0.03;
 
+/// Most places of a search for what texels show, on a software driver: there each costs as much as reading the picture.
+const SOFTWARE_PARALLAX_STEPS: u32 = 4;
+
 /// The quality of one viewer.
 #[derive(Clone, Debug)]
 pub(super) struct ViewerQuality {
@@ -72,6 +75,14 @@ pub(super) struct ViewerQuality {
     /// The point's, with what the configuration fixes.
     pub(super) settings: QualitySettings,
     device_ms: Option<f64>,
+}
+
+/// A point's settings but for those that tell nothing where points are measured, at the reference.
+fn from_the_reference(point: QualitySettings, picked: &QualitySettings) -> QualitySettings {
+    QualitySettings {
+        parallax_steps: picked.parallax_steps,
+        ..point
+    }
 }
 
 impl Qualities {
@@ -88,6 +99,9 @@ impl Qualities {
                 samples: config.samples,
                 mip_bias: config.mip_bias.map(f64::from),
                 frame_filter: config.frame_filter,
+                parallax_steps: config
+                    .parallax_steps
+                    .or(is_software.then_some(SOFTWARE_PARALLAX_STEPS)),
             },
             default: config.quality.unwrap_or(default),
             are_chosen: false,
@@ -130,7 +144,8 @@ impl Qualities {
             picked: point.name(),
             flip: point.error.flip,
             // Of other settings than the point's it tells nothing.
-            measured: point.measured && quality.settings == point.settings,
+            measured: point.measured
+                && quality.settings == from_the_reference(point.settings, &quality.settings),
             settings: quality.settings,
             is_met: quality.pick.is_met,
             device_ms_per_frame: quality.device_ms,
@@ -175,6 +190,7 @@ impl SkyRenderer {
             samples: self.caches.samples(),
             mip_bias: self.mip_bias,
             frame_filter: self.frame_filter,
+            parallax_steps: self.parallax_steps,
         }
     }
 

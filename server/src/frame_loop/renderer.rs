@@ -16,7 +16,9 @@ use crate::atmosphere::{AirKeeper, AirViews, cloud_shadows_key, make_shafts_key,
 use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
 use crate::cells::{CellLimit, Cells};
 use crate::clock;
-use crate::composite::{Inspections, Picture, composite_key, ground_key, with_shared_background};
+use crate::composite::{
+    Inspections, Picture, composite_key, ground_key, with_parallax, with_shared_background,
+};
 use crate::config::{FrameFilter, PlacedCell, RenderConfig};
 use crate::field::FieldStore;
 use crate::gpu::{
@@ -78,6 +80,8 @@ pub(super) struct SkyRenderer {
     pub(super) frame_filter: FrameFilter,
     /// Of single pictures; viewers have their own.
     pub(super) mip_bias: f64,
+    /// Of single pictures; viewers have their own.
+    pub(super) parallax_steps: u32,
     /// How rays are marched, but for what a quality sets.
     pub(super) settings: MarchSettings,
     /// How screen-space pictures come about.
@@ -148,6 +152,7 @@ impl SkyRenderer {
             in_flight: Arc::default(),
             frame_filter: base.frame_filter,
             mip_bias: base.mip_bias,
+            parallax_steps: base.parallax_steps,
             settings: MarchSettings {
                 steps: base.march_steps,
                 sun_steps: base.sun_steps,
@@ -282,6 +287,9 @@ impl SkyRenderer {
             for screen_space in [false, true] {
                 let key = frame_key(&self.gpu, scene, filter, blend, screen_space);
                 keys.extend([key, ground_key(key)]);
+                if !screen_space {
+                    keys.push(with_parallax(key));
+                }
             }
         }
         if scene.physical_air().is_some() {
@@ -383,6 +391,9 @@ impl SkyRenderer {
                 let key = frame_key(&self.gpu, &self.scene, filter, blend, screen_space);
                 let picture = Picture::new(&self.gpu, &self.pipelines, size, false);
                 self.composite_still(viewer, &picture, key, None)?;
+                if !screen_space {
+                    self.composite_still(viewer, &picture, with_parallax(key), None)?;
+                }
             }
             self.leave(viewer);
         }

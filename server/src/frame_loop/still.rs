@@ -323,6 +323,8 @@ impl StillRenderer {
         ray_list: bool,
     ) -> [PipelineKey; 2] {
         let shown = shown_of(settings.show);
+        let renderer = &self.renderer;
+        let viewer = renderer.viewers.get(&VIEWER);
         [false, true].map(|linear| {
             let blend = LayerBlend::of(&self.renderer.scene, &self.renderer.active);
             let key = composite_key(
@@ -332,6 +334,7 @@ impl StillRenderer {
                 screen_space,
                 linear,
             );
+            let key = viewer.map_or(key, |viewer| renderer.key_for(viewer, key));
             PipelineKey {
                 features: Features {
                     ray_list,
@@ -505,6 +508,7 @@ impl Start {
         renderer.shafts.clear();
         renderer.caches.set_samples(settings.samples);
         renderer.mip_bias = f64::from(settings.mip_bias);
+        renderer.parallax_steps = settings.parallax_steps;
         renderer.window_choice = WindowChoice::Fixed(settings.window);
         // Pipelines for other settings.
         let (scene, revision) = (renderer.scene.clone(), renderer.scene_revision + 1);

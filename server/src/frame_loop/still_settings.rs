@@ -2,6 +2,7 @@
 
 use crate::config::FrameFilter;
 use crate::march::{MarchSettings, WindowPlan};
+use crate::quality::default_parallax_steps;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use skycell_protocol::{Codec, FrameSize, RendererKind, Show};
@@ -30,6 +31,8 @@ pub struct StillSettings {
     pub mip_bias: f32,
     /// How the cache is read.
     pub filter: FrameFilter,
+    /// Most places along a ray at which a viewer away from the reference looks for what texels show; 0: proxy spheres alone.
+    pub parallax_steps: u32,
     /// Reference point of the cache, seen from the eye: x, altitude, z.
     pub reference_offset_m: [f64; 3],
     /// What the picture shows.
@@ -52,6 +55,7 @@ impl Default for StillSettings {
             turn_deg_per_frame: 0.0,
             mip_bias: 0.0,
             filter: FrameFilter::CatmullRom,
+            parallax_steps: default_parallax_steps(),
             reference_offset_m: [0.0; 3],
             show: Show::Picture,
             codec: Codec::Png,

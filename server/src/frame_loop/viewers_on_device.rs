@@ -1,5 +1,6 @@
 //! Viewers on the device: who joins, moves, changes its wishes and leaves.
 
+use super::cells_on_device::parallax_steps;
 use super::interface::ViewRequest;
 use super::qualities::ViewerQuality;
 use super::renderer::SkyRenderer;
@@ -211,6 +212,7 @@ impl SkyRenderer {
         let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
         let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
         view.dither_shift = dither_shift(viewer.view.codec);
+        view.parallax_steps = parallax_steps(&self.scene, &self.active, viewer, cell.reference_m);
         for (layer, requests) in viewer.requests.iter().enumerate().take(view.tables.len()) {
             let finest = requests.iter().map(|r| r.key.level).max().unwrap_or(0);
             view.tables[layer] = cell.buffers.table(layer, finest);

@@ -1,11 +1,12 @@
 //! Pictures of one quantity instead of the sky: whether a view says anything of a viewer's frames, and its pipelines, which
 //! are made beside the frames when somebody first asks for them.
 
+use super::cells_on_device::parallax_steps;
 use super::renderer::{SkyRenderer, frame_key};
 use super::viewers_on_device::ActiveViewer;
 use crate::composite::{
     CompositeInputs, InspectionInputs, Inspections, Picture, ground_key, inspect_key, shown_key,
-    shown_of,
+    shown_of, with_parallax,
 };
 use crate::gpu::PipelineKey;
 use crate::march::{LayerBlend, layer_features};
@@ -48,7 +49,20 @@ impl SkyRenderer {
             LayerBlend::of(&self.scene, &self.active),
             screen_space,
         );
-        self.shown_keys(shown, composite)
+        self.shown_keys(shown, self.key_for(viewer, composite))
+    }
+
+    /// A composite's key as a viewer needs it.
+    pub(super) fn key_for(&self, viewer: &ActiveViewer, composite: PipelineKey) -> PipelineKey {
+        let searches = viewer.kind == RendererKind::Cached
+            && self.active_cells.get(&viewer.cell).is_some_and(|cell| {
+                parallax_steps(&self.scene, &self.active, viewer, cell.reference_m) > 0
+            });
+        if searches {
+            with_parallax(composite)
+        } else {
+            composite
+        }
     }
 
     /// What a viewer's frames show: what it asks for, or the picture where that says nothing or is not there yet, and why.

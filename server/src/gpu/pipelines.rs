@@ -295,6 +295,7 @@ impl Pipelines {
                     sampled(D2Array, true),
                     sampled(D2Array, true),
                     SAMPLER,
+                    sampled(D2, false),
                 ],
             ),
             pixels_layout: layout(gpu, "pixels", &[storage(false), storage(false)]),

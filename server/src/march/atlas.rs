@@ -2,6 +2,7 @@
 
 use crate::cache::{BYTES_PER_TEXEL, Slot, TEXELS_PER_TILE, TILE_STRIDE};
 use crate::gpu::Gpu;
+use glam::DVec3;
 
 /// Tiles of a page, one layer of the texture array: 6 MiB. They stand in one column, so that a tile's rows follow each
 /// other in memory where textures are stored row by row: with tiles side by side, rows would be apart by powers of two
@@ -22,6 +23,7 @@ pub struct Atlas {
     distance: wgpu::Texture,
     previous_radiance: wgpu::Texture,
     previous_distance: wgpu::Texture,
+    origins: wgpu::Texture,
     pages: u32,
     version: u64,
 }
@@ -54,6 +56,28 @@ fn texture(gpu: &Gpu, label: &str, pages: u32, format: wgpu::TextureFormat) -> w
 
 const RADIANCE: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 const DISTANCE: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
+/// Slots of a row of origins, as in `composite/cached.wgsl`.
+const ORIGINS_WIDTH: u32 = 256;
+
+/// Where the rays of slots' texels started, a texel a slot.
+fn origins(gpu: &Gpu, pages: u32) -> wgpu::Texture {
+    gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: Some("slot origins"),
+        size: wgpu::Extent3d {
+            width: ORIGINS_WIDTH,
+            height: (pages * TILES_PER_PAGE).div_ceil(ORIGINS_WIDTH).max(1),
+            depth_or_array_layers: 1,
+        },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::Rgba32Float,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING
+            | wgpu::TextureUsages::COPY_SRC
+            | wgpu::TextureUsages::COPY_DST,
+        view_formats: &[],
+    })
+}
 
 impl Atlas {
     /// An atlas without pages.
@@ -64,6 +88,7 @@ impl Atlas {
             distance: texture(gpu, "atlas distance", 0, DISTANCE),
             previous_radiance: texture(gpu, "previous radiance", 0, RADIANCE),
             previous_distance: texture(gpu, "previous distance", 0, DISTANCE),
+            origins: origins(gpu, 0),
             pages: 0,
             version: 0,
         }
@@ -85,6 +110,7 @@ impl Atlas {
         let radiance = texture(gpu, "atlas radiance", wanted, RADIANCE);
         let distance = texture(gpu, "atlas distance", wanted, DISTANCE);
         let kept = self.pages.min(wanted);
+        let slot_origins = origins(gpu, wanted);
         if kept > 0 {
             let mut encoder = gpu
                 .device
@@ -99,6 +125,16 @@ impl Atlas {
             for (old, new) in [(&self.radiance, &radiance), (&self.distance, &distance)] {
                 encoder.copy_texture_to_texture(old.as_image_copy(), new.as_image_copy(), extent);
             }
+            let rows = self.origins.height().min(slot_origins.height());
+            encoder.copy_texture_to_texture(
+                self.origins.as_image_copy(),
+                slot_origins.as_image_copy(),
+                wgpu::Extent3d {
+                    width: ORIGINS_WIDTH,
+                    height: rows,
+                    depth_or_array_layers: 1,
+                },
+            );
             gpu.queue.submit([encoder.finish()]);
         } else {
             let working = wanted.min(1);
@@ -107,6 +143,7 @@ impl Atlas {
         }
         self.radiance = radiance;
         self.distance = distance;
+        self.origins = slot_origins;
         self.pages = wanted;
         self.version += 1;
     }
@@ -133,6 +170,37 @@ impl Atlas {
                 ..Default::default()
             })
         })
+    }
+
+    /// Where the rays of slots' texels started.
+    #[must_use]
+    pub fn origins_view(&self) -> wgpu::TextureView {
+        self.origins
+            .create_view(&wgpu::TextureViewDescriptor::default())
+    }
+
+    /// Says where the rays of a slot's texels started, as seen from the anchor, m.
+    pub fn set_origin(&self, gpu: &Gpu, slot: Slot, from_anchor: DVec3) {
+        let [x, y, z] = from_anchor.as_vec3().to_array();
+        gpu.queue.write_texture(
+            wgpu::TexelCopyTextureInfo {
+                texture: &self.origins,
+                mip_level: 0,
+                origin: wgpu::Origin3d {
+                    x: slot.0 % ORIGINS_WIDTH,
+                    y: slot.0 / ORIGINS_WIDTH,
+                    z: 0,
+                },
+                aspect: wgpu::TextureAspect::All,
+            },
+            bytemuck::cast_slice(&[x, y, z, 0.0]),
+            wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: None,
+                rows_per_image: None,
+            },
+            wgpu::Extent3d::default(),
+        );
     }
 
     /// Radiance and distance as they were before an update, at the update's place in its batch.

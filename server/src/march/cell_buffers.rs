@@ -245,11 +245,13 @@ impl CellBuffers {
         let (_, group) = self.cached_group.get_or_insert_with(|| {
             let [radiance, distance] = atlas.views();
             let tables_view = tables.create_view(&wgpu::TextureViewDescriptor::default());
+            let origins = atlas.origins_view();
             let resources = [
                 wgpu::BindingResource::TextureView(&tables_view),
                 wgpu::BindingResource::TextureView(&radiance),
                 wgpu::BindingResource::TextureView(&distance),
                 wgpu::BindingResource::Sampler(sampler),
+                wgpu::BindingResource::TextureView(&origins),
             ];
             let entries: Vec<_> = (0..)
                 .zip(resources)

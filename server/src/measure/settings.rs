@@ -142,6 +142,7 @@ impl PointSettings {
             mip_bias: self.mip_bias,
             filter: self.filter,
             reference_offset_m: offset_m.to_array(),
+            parallax_steps: crate::quality::default_parallax_steps(),
             shared_background: false,
         }
     }

@@ -6,5 +6,5 @@ mod settings;
 mod table;
 
 pub use budget::{BudgetGovernor, FrameCost};
-pub use settings::{QualityOverrides, QualitySettings};
+pub use settings::{PARALLAX_STEPS_MAX, QualityOverrides, QualitySettings, default_parallax_steps};
 pub use table::{Pick, PointCost, PointError, QualityPoint, QualityTable, QualityTableError};

@@ -27,6 +27,19 @@ pub struct QualitySettings {
     pub mip_bias: f64,
     /// How frames read the cache.
     pub frame_filter: FrameFilter,
+    /// Most places along a ray at which a viewer away from where texels were marched looks whether it sees what they show,
+    /// 0 to 64; 0: proxy spheres alone.
+    #[serde(default = "default_parallax_steps")]
+    pub parallax_steps: u32,
+}
+
+/// Most places that a search for what is seen may look at.
+pub const PARALLAX_STEPS_MAX: u32 = 64;
+
+/// Tuned: mean FLIP 1 km beside the reference is .0705 with 16 steps, .0672 with 32, .1705 without (320×180).
+#[must_use]
+pub const fn default_parallax_steps() -> u32 {
+    16
 }
 
 impl Default for QualitySettings {
@@ -39,6 +52,7 @@ impl Default for QualitySettings {
             samples: 8,
             mip_bias: 0.0,
             frame_filter: FrameFilter::CatmullRom,
+            parallax_steps: default_parallax_steps(),
         }
     }
 }
@@ -91,6 +105,8 @@ pub struct QualityOverrides {
     pub mip_bias: Option<f64>,
     /// `render.frame_filter`
     pub frame_filter: Option<FrameFilter>,
+    /// `render.parallax_steps`
+    pub parallax_steps: Option<u32>,
 }
 
 impl QualityOverrides {
@@ -102,6 +118,7 @@ impl QualityOverrides {
             samples: self.samples.unwrap_or(settings.samples),
             mip_bias: self.mip_bias.unwrap_or(settings.mip_bias),
             frame_filter: self.frame_filter.unwrap_or(settings.frame_filter),
+            parallax_steps: self.parallax_steps.unwrap_or(settings.parallax_steps),
             ..settings
         }
     }

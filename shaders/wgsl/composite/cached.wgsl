@@ -1,15 +1,22 @@
 #define_import_path skycell::cached
 #import skycell::octahedral::octahedral_from_direction
-#import skycell::march::{LayerRadiance, CLEAR_OPACITY}
-#import skycell::view::PageTable
+#import skycell::shell::{altitude_m, shell_roots}
+#import skycell::scene::Layer
+#import skycell::march::{LayerRadiance, CLEAR_OPACITY, distance_seen_m}
+#import skycell::view::{View, PageTable}
 
 /// Page tables as rows of TABLE_WIDTH entries. A texture and no buffer: software drivers read buffers lane by lane.
 @group(2) @binding(0) var page_table: texture_2d<u32>;
 @group(2) @binding(1) var atlas_radiance: texture_2d_array<f32>;
 @group(2) @binding(2) var atlas_distance: texture_2d_array<f32>;
 @group(2) @binding(3) var atlas_sampler: sampler;
+#ifdef PARALLAX
+/// Where the rays of a slot's texels started, from the layer's anchor, m: slot s in column s % ORIGINS_WIDTH.
+@group(2) @binding(4) var slot_origins: texture_2d<f32>;
+#endif
 
 const TABLE_WIDTH: u32 = 1024u;
+const ORIGINS_WIDTH: u32 = 256u;
 const NO_TILE: u32 = 0xffffffffu;
 const TILE_STRIDE: u32 = 64u;
 const TILE_INTERIOR: f32 = 60.0;
@@ -51,28 +58,179 @@ fn read_radiance(texel: vec2f, page: u32) -> vec4f {
 }
 #endif
 
-/// What the cache holds of a layer in a direction from its anchor. Without any tile, and where something hides the layer:
-/// clear sky.
-fn cached_radiance(table: PageTable, from_anchor: vec3f, hidden: bool) -> LayerRadiance {
+/// Where the atlas holds what the cache has in a direction.
+struct Found {
+    held: bool,
+    slot: u32,
+    /// Of its page, in texels.
+    texel: vec2f,
+}
+
+fn find(table: PageTable, from_anchor: vec3f) -> Found {
     let square = octahedral_from_direction(from_anchor);
     let tile = min(vec2u(square * f32(table.tiles_per_side)), vec2u(max(table.tiles_per_side, 1u) - 1u));
     let index = table.offset + tile.y * table.tiles_per_side + tile.x;
     let entry = textureLoad(page_table, vec2u(index % TABLE_WIDTH, index / TABLE_WIDTH), 0).x;
-    let held = entry != NO_TILE && table.tiles_per_side != 0u && !hidden;
+    let held = entry != NO_TILE && table.tiles_per_side != 0u;
     let level = min((entry >> 16u) & 0xffu, table.level);
     let slot = select(0u, entry & 0xffffu, held);
     // Tiles double with each level, so a tile of a coarser level is found by a shift.
     let level_tile = vec2f(tile >> vec2u(table.level - level));
     let within = (square * f32(BASE_TILES << level) - level_tile) * TILE_INTERIOR;
     let origin = vec2f(0.0, f32(slot % PAGE_TILES * TILE_STRIDE));
-    let texel = origin + GUTTER + clamp(within, vec2f(0.0), vec2f(TILE_INTERIOR));
-    let page = slot / PAGE_TILES;
-    let radiance = select(vec4f(0.0, 0.0, 0.0, 1.0), read_radiance(texel, page), held);
-    var opacity_distance_m = textureSampleLevel(atlas_distance, atlas_sampler, texel / PAGE_TEXELS, page, 0.0).x;
+    return Found(held, slot, origin + GUTTER + clamp(within, vec2f(0.0), vec2f(TILE_INTERIOR)));
+}
+
+/// What the cache holds of a layer in a direction from its anchor. Without any tile, and where something hides the layer:
+/// clear sky.
+fn cached_radiance(table: PageTable, from_anchor: vec3f, hidden: bool) -> LayerRadiance {
+    let found = find(table, from_anchor);
+    let held = found.held && !hidden;
+    let page = found.slot / PAGE_TILES;
+    let radiance = select(vec4f(0.0, 0.0, 0.0, 1.0), read_radiance(found.texel, page), held);
+    var opacity_distance_m = textureSampleLevel(atlas_distance, atlas_sampler, found.texel / PAGE_TEXELS, page, 0.0).x;
 #ifdef CATMULL_ROM
     // Its opacity must come from the same filter, or the distance jumps at edges.
-    let transmittance = textureSampleLevel(atlas_radiance, atlas_sampler, texel / PAGE_TEXELS, page, 0.0).w;
+    let transmittance = textureSampleLevel(atlas_radiance, atlas_sampler, found.texel / PAGE_TEXELS, page, 0.0).w;
     opacity_distance_m *= (1.0 - radiance.w + CLEAR_OPACITY) / (1.0 - transmittance + CLEAR_OPACITY);
 #endif
     return LayerRadiance(radiance.x, radiance.y, radiance.z, radiance.w, select(0.0, opacity_distance_m, held));
+}
+
+/// The point of a viewer's ray at an altitude above it.
+fn point_at_altitude(planet_radius_m: f32, eye: View, direction: vec3f, altitude: f32) -> vec3f {
+    let shell = shell_roots(planet_radius_m, altitude, eye.position, eye.altitude_m, direction);
+    return eye.position + direction * max(shell.far_m, 1e-3);
+}
+
+#ifdef PARALLAX
+/// What a viewer away from where texels were marched knows of a layer along its ray.
+struct Parallax {
+    /// Altitude of what it sees, m.
+    height_m: f32,
+    /// Where the rays of the texels started that show it, from the anchor, m.
+    origin: vec3f,
+}
+
+/// The place of the sphere, from the anchor, whose texel shows a point: where the ray from that texel's origin through the
+/// point meets the sphere.
+fn place_of_point(planet_radius_m: f32, layer: Layer, parallax: Parallax, point: vec3f) -> vec3f {
+    let origin = layer.anchor + parallax.origin;
+    let direction = normalize(point - origin);
+    let sphere = shell_roots(planet_radius_m, layer.proxy_altitude_m, origin, altitude_m(planet_radius_m, origin), direction);
+    return parallax.origin + direction * max(sphere.far_m, 1e-3);
+}
+
+/// What a texel says of a point on a viewer's ray.
+struct Probed {
+    /// How far the point lies behind what the texel shows, m; negative in front of it, and where the texel shows nothing.
+    behind_m: f32,
+    opacity: f32,
+    /// Where the texel's ray started, from the anchor.
+    origin: vec3f,
+}
+
+/// Less opacity than this is nothing to be seen.
+const SEEN_OPACITY: f32 = 0.02;
+/// Of a texel that shows nothing.
+const NOTHING_BEHIND_M: f32 = -1e9;
+
+fn probe_point(planet_radius_m: f32, layer: Layer, table: PageTable, before: Parallax, point: vec3f) -> Probed {
+    let place = place_of_point(planet_radius_m, layer, before, point);
+    let found = find(table, place);
+    let page = found.slot / PAGE_TILES;
+    let at = found.texel / PAGE_TEXELS;
+    let opacity = 1.0 - textureSampleLevel(atlas_radiance, atlas_sampler, at, page, 0.0).w;
+    let distance_m = distance_seen_m(textureSampleLevel(atlas_distance, atlas_sampler, at, page, 0.0).x, 1.0 - opacity);
+    let origin = textureLoad(slot_origins, vec2u(found.slot % ORIGINS_WIDTH, found.slot / ORIGINS_WIDTH), 0).xyz;
+    let behind_m = length(point - layer.anchor - origin) - distance_m;
+    let shows = found.held && opacity > SEEN_OPACITY;
+    return Probed(select(NOTHING_BEHIND_M, behind_m, shows), select(0.0, opacity, found.held), select(before.origin, origin, found.held));
+}
+
+/// Places of a search stand this far apart in the cache, pixels.
+const SEARCH_PIXELS: f32 = 1.0;
+/// How far behind what a texel shows its cloud may go on, as a share of the way between two places of a search, and m.
+const CLOUD_DEPTH_SHARE: f32 = 0.7;
+const CLOUD_DEPTH_M: f32 = 50.0;
+/// How fast a ray may get behind one surface, per m of its way.
+const CLOUD_SLOPE: f32 = 3.0;
+
+/// Finds the altitude of what a viewer sees: goes along its ray, from the layer's near side to its far one, until it is
+/// behind what the texels there show. Where that moves what is read by little, the texel on the sphere tells it.
+fn parallax_along(planet_radius_m: f32, eye: View, layer: Layer, table: PageTable, direction: vec3f) -> Parallax {
+    var result = Parallax(layer.proxy_altitude_m, vec3f(0.0));
+    let on_sphere = point_at_altitude(planet_radius_m, eye, direction, layer.proxy_altitude_m);
+    let first = find(table, on_sphere - layer.anchor);
+    let page = first.slot / PAGE_TILES;
+    let opacity = 1.0 - textureSampleLevel(atlas_radiance, atlas_sampler, first.texel / PAGE_TEXELS, page, 0.0).w;
+    let distance_m = distance_seen_m(textureSampleLevel(atlas_distance, atlas_sampler, first.texel / PAGE_TEXELS, page, 0.0).x, 1.0 - opacity);
+    let origin = textureLoad(slot_origins, vec2u(first.slot % ORIGINS_WIDTH, first.slot / ORIGINS_WIDTH), 0).xyz;
+    result.origin = select(vec3f(0.0), origin, first.held);
+    let starts = layer.anchor + result.origin;
+    let seen = starts + normalize(on_sphere - starts) * distance_m;
+    result.height_m = select(layer.proxy_altitude_m, clamp(altitude_m(planet_radius_m, seen), layer.base_altitude_m, layer.top_altitude_m), first.held);
+
+    let from_base = normalize(point_at_altitude(planet_radius_m, eye, direction, layer.base_altitude_m) - starts);
+    let from_top = normalize(point_at_altitude(planet_radius_m, eye, direction, layer.top_altitude_m) - starts);
+    let wanted = u32(min(length(from_base - from_top) / (SEARCH_PIXELS * eye.pixel_angle_rad), f32(eye.parallax_steps)));
+    let searches = select(0u, wanted, wanted > 1u);
+    var low_m = layer.base_altitude_m;
+    var low_behind_m = NOTHING_BEHIND_M;
+    var high_m = layer.top_altitude_m;
+    var high_behind_m = 0.0;
+    var is_hit = false;
+    var last = point_at_altitude(planet_radius_m, eye, direction, low_m);
+    for (var i = 0u; i < searches && !is_hit; i += 1u) {
+        let height_m = mix(layer.base_altitude_m, layer.top_altitude_m, f32(i + 1u) / f32(max(searches, 1u)));
+        let point = point_at_altitude(planet_radius_m, eye, direction, height_m);
+        let probed = probe_point(planet_radius_m, layer, table, result, point);
+        let is_behind = probed.behind_m >= 0.0;
+        // A point far behind a cloud is no part of it: it is in what the cloud hides. Along one surface it gets behind by no
+        // more than about the way that it has come.
+        let way_m = length(point - last);
+        let is_on_surface = probed.behind_m - low_behind_m < CLOUD_SLOPE * way_m;
+        is_hit = is_behind && (probed.behind_m < CLOUD_DEPTH_SHARE * way_m + CLOUD_DEPTH_M || is_on_surface);
+        high_m = select(high_m, height_m, is_hit);
+        high_behind_m = select(high_behind_m, probed.behind_m, is_hit);
+        low_m = select(height_m, low_m, is_behind);
+        low_behind_m = select(probed.behind_m, select(low_behind_m, NOTHING_BEHIND_M, is_behind && !is_hit), is_behind);
+        result.origin = probed.origin;
+        last = point;
+    }
+    // The interval in which the ray goes under the surface is narrowed. At an edge it ends in the cloud.
+    let follows = is_hit && low_behind_m > 0.5 * NOTHING_BEHIND_M;
+    for (var i = 0u; i < 2u; i += 1u) {
+        let between = clamp(low_behind_m / min(low_behind_m - high_behind_m, -1e-3), 0.1, 0.9);
+        let height_m = mix(low_m, high_m, select(0.5, between, follows));
+        let point = point_at_altitude(planet_radius_m, eye, direction, height_m);
+        let probed = probe_point(planet_radius_m, layer, table, result, point);
+        let is_behind = probed.behind_m >= 0.0;
+        let is_high = is_hit && is_behind && (follows || probed.opacity > 0.5);
+        let is_low = is_hit && !is_high;
+        high_m = select(high_m, height_m, is_high);
+        high_behind_m = select(high_behind_m, probed.behind_m, is_high);
+        low_m = select(low_m, height_m, is_low);
+        low_behind_m = select(low_behind_m, probed.behind_m, is_low && follows);
+    }
+    let between = clamp(low_behind_m / min(low_behind_m - high_behind_m, -1e-3), 0.0, 1.0);
+    let surface_m = mix(low_m, high_m, select(1.0, between, follows));
+    result.height_m = select(result.height_m, select(low_m, surface_m, is_hit), searches > 0u);
+    return result;
+}
+#endif
+
+/// What the cache holds of a layer along a viewer's ray.
+fn cached_layer(planet_radius_m: f32, eye: View, layer: Layer, table: PageTable, direction: vec3f, hidden: bool) -> LayerRadiance {
+#ifdef PARALLAX
+    let parallax = parallax_along(planet_radius_m, eye, layer, table, direction);
+    let point = point_at_altitude(planet_radius_m, eye, direction, parallax.height_m);
+    var cloud = cached_radiance(table, place_of_point(planet_radius_m, layer, parallax, point), hidden);
+    // The viewer is as far from what it sees as it is, not as far as the origin of the texel's ray.
+    cloud.opacity_distance_m *= length(point - eye.position) / max(length(point - layer.anchor - parallax.origin), 1.0);
+    return cloud;
+#else
+    let point = point_at_altitude(planet_radius_m, eye, direction, layer.proxy_altitude_m);
+    return cached_radiance(table, point - layer.anchor, hidden);
+#endif
 }

@@ -30,9 +30,9 @@
 #import skycell::shell::altitude_m
 #ifndef SCREEN_SPACE
 #ifdef SHOW_CACHE
-#import skycell::show::cached_entry as cached_radiance
+#import skycell::show::cached_entry
 #else
-#import skycell::cached::cached_radiance
+#import skycell::cached::cached_layer
 #endif
 #endif
 
@@ -60,22 +60,30 @@ fn marched_pixel(eye: View, layer_index: u32, pixel: vec2u) -> LayerRadiance {
 }
 #endif
 
+#ifdef SCREEN_SPACE
 /// What the viewer sees of one layer along a ray.
 fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> LayerRadiance {
-#ifdef SCREEN_SPACE
     let cloud = marched_pixel(eye, layer_index, pixel);
     // Samples of the pixels at the horizon reach above it; the middle of the pixel decides, as it does for the cache.
     let hidden = hidden_by_ground(ray, layer.base_altitude_m);
     let seen = select(1.0, 0.0, hidden);
     let transmittance = select(cloud.transmittance, 1.0, hidden);
     return LayerRadiance(seen * cloud.single, seen * cloud.octaves, seen * cloud.ambient, transmittance, seen * cloud.opacity_distance_m);
+}
 #else
+/// What the viewer sees of one layer along a ray. Texels straddle the horizon; the viewer's own ray decides whether the
+/// ground hides the layer.
+fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, ray: Ray) -> LayerRadiance {
+    let hidden = hidden_by_ground(ray, layer.base_altitude_m);
+#ifdef SHOW_CACHE
     let sphere = shell_roots(world.planet.radius_m, layer.proxy_altitude_m, eye.position, eye.altitude_m, ray.direction);
     let on_sphere = eye.position + ray.direction * max(sphere.far_m, 1e-3);
-    // Texels straddle the horizon; the viewer's own ray decides whether the ground hides the layer.
-    return cached_radiance(table, on_sphere - layer.anchor, hidden_by_ground(ray, layer.base_altitude_m));
+    return cached_entry(table, on_sphere - layer.anchor, hidden);
+#else
+    return cached_layer(world.planet.radius_m, eye, layer, table, ray.direction, hidden);
 #endif
 }
+#endif
 
 /// A layer along a ray with its place in the order of blending.
 struct OrderedLayer {
@@ -100,11 +108,10 @@ struct OrderedLayer {
 const ABOVE_RANK: f32 = 1e6;
 
 #ifdef HAZE_OF_SPHERES
-fn ordered_layer(world: Scene, eye: View, back: Background, shared_haze: Haze, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> OrderedLayer {
+fn ordered_layer(world: Scene, back: Background, shared_haze: Haze, layer: Layer, cloud: LayerRadiance, ray: Ray) -> OrderedLayer {
 #else
-fn ordered_layer(world: Scene, eye: View, back: Background, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> OrderedLayer {
+fn ordered_layer(world: Scene, back: Background, layer: Layer, cloud: LayerRadiance, ray: Ray) -> OrderedLayer {
 #endif
-    let cloud = layer_radiance(world, eye, layer, table, layer_index, pixel, ray);
     var ordered: OrderedLayer;
     ordered.cloud = cloud;
 #ifdef PHYSICAL_SKY
@@ -204,26 +211,41 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
 #endif
     // Written out with constant indices, so that all of them are read before the first pixel (and because a loop over
     // layers at computed indices keeps the software driver's compiler busy for minutes).
-#ifdef HAZE_OF_SPHERES
-    var first = ordered_layer(world, eye, back, back.first_haze, world.layers[0], eye.tables[0], 0u, pixel, ray);
+#ifdef SCREEN_SPACE
+    let first_cloud = layer_radiance(world, eye, world.layers[0], eye.tables[0], 0u, pixel, ray);
 #else
-    var first = ordered_layer(world, eye, back, world.layers[0], eye.tables[0], 0u, pixel, ray);
+    let first_cloud = layer_radiance(world, eye, world.layers[0], eye.tables[0], ray);
+#endif
+#ifdef HAZE_OF_SPHERES
+    var first = ordered_layer(world, back, back.first_haze, world.layers[0], first_cloud, ray);
+#else
+    var first = ordered_layer(world, back, world.layers[0], first_cloud, ray);
 #endif
 #if LAYERS >= 2
-#ifdef HAZE_OF_SPHERES
-    var second = ordered_layer(world, eye, back, back.second_haze, world.layers[1], eye.tables[1], 1u, pixel, ray);
+#ifdef SCREEN_SPACE
+    let second_cloud = layer_radiance(world, eye, world.layers[1], eye.tables[1], 1u, pixel, ray);
 #else
-    var second = ordered_layer(world, eye, back, world.layers[1], eye.tables[1], 1u, pixel, ray);
+    let second_cloud = layer_radiance(world, eye, world.layers[1], eye.tables[1], ray);
+#endif
+#ifdef HAZE_OF_SPHERES
+    var second = ordered_layer(world, back, back.second_haze, world.layers[1], second_cloud, ray);
+#else
+    var second = ordered_layer(world, back, world.layers[1], second_cloud, ray);
 #endif
     var pair = nearer_first(first, second);
     first = pair.nearer;
     second = pair.farther;
 #endif
 #if LAYERS >= 3
-#ifdef HAZE_OF_SPHERES
-    var third = ordered_layer(world, eye, back, back.third_haze, world.layers[2], eye.tables[2], 2u, pixel, ray);
+#ifdef SCREEN_SPACE
+    let third_cloud = layer_radiance(world, eye, world.layers[2], eye.tables[2], 2u, pixel, ray);
 #else
-    var third = ordered_layer(world, eye, back, world.layers[2], eye.tables[2], 2u, pixel, ray);
+    let third_cloud = layer_radiance(world, eye, world.layers[2], eye.tables[2], ray);
+#endif
+#ifdef HAZE_OF_SPHERES
+    var third = ordered_layer(world, back, back.third_haze, world.layers[2], third_cloud, ray);
+#else
+    var third = ordered_layer(world, back, world.layers[2], third_cloud, ray);
 #endif
     pair = nearer_first(second, third);
     third = pair.farther;
@@ -232,10 +254,15 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
     second = pair.farther;
 #endif
 #if LAYERS >= 4
-#ifdef HAZE_OF_SPHERES
-    var fourth = ordered_layer(world, eye, back, back.fourth_haze, world.layers[3], eye.tables[3], 3u, pixel, ray);
+#ifdef SCREEN_SPACE
+    let fourth_cloud = layer_radiance(world, eye, world.layers[3], eye.tables[3], 3u, pixel, ray);
 #else
-    var fourth = ordered_layer(world, eye, back, world.layers[3], eye.tables[3], 3u, pixel, ray);
+    let fourth_cloud = layer_radiance(world, eye, world.layers[3], eye.tables[3], ray);
+#endif
+#ifdef HAZE_OF_SPHERES
+    var fourth = ordered_layer(world, back, back.fourth_haze, world.layers[3], fourth_cloud, ray);
+#else
+    var fourth = ordered_layer(world, back, world.layers[3], fourth_cloud, ray);
 #endif
     pair = nearer_first(third, fourth);
     fourth = pair.farther;

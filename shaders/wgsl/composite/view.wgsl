@@ -38,7 +38,8 @@ struct View {
     jitter: f32,
     /// Squares of 2^dither_shift pixels are dithered as one.
     dither_shift: u32,
-    pad_first: u32,
+    /// Most places along a ray at which it is searched for what cached texels show; 0: proxy spheres alone.
+    parallax_steps: u32,
     pad_view: vec2u,
 }
 
