@@ -92,8 +92,8 @@ impl SkyRenderer {
             self.active_cells.insert(id, fresh);
         }
         // What they ask for is told by places about the old anchor.
-        for viewer in self.viewers.values_mut().filter(|v| v.cell == id) {
-            viewer.requests.clear();
+        for viewer in self.viewers.values_mut().filter(|v| v.needs(id)) {
+            viewer.forget_requests();
         }
     }
 
@@ -138,11 +138,7 @@ impl SkyRenderer {
     pub(super) fn regroup(&mut self, passed_s: f64) -> Vec<ViewerId> {
         let changes = self.cells.regroup(passed_s);
         for change in &changes {
-            if let Some(viewer) = self.viewers.get_mut(&change.viewer) {
-                viewer.cell = change.to;
-                viewer.requests.clear();
-                viewer.screen_space = None;
-            }
+            self.follow_cell(change.viewer);
             self.change_requests(change.from);
             self.change_requests(change.to);
         }
@@ -177,9 +173,9 @@ impl SkyRenderer {
             .active_cells
             .keys()
             .filter(|id| {
-                self.cells
-                    .get(**id)
-                    .is_none_or(|cell| cell.members.is_empty())
+                let cell = self.cells.get(**id);
+                cell.is_none_or(|cell| cell.members.is_empty())
+                    && !self.viewers.values().any(|viewer| viewer.needs(**id))
             })
             .copied()
             .collect();
@@ -280,30 +276,30 @@ impl SkyRenderer {
             if drifted || cell.coarse.len() != spheres.len() {
                 cell.coarse = spheres.iter().map(|s| coarse_tiles(s, eye)).collect();
             }
-            for viewer in self.viewers.values_mut().filter(|v| v.cell == id) {
-                if !viewer.reads_cache() {
+            let mut read: Vec<&[Vec<TileRequest>]> = Vec::new();
+            for viewer in self.viewers.values_mut() {
+                let (camera, size) = (viewer.view.camera, viewer.view.size);
+                let mip_bias = viewer.quality.settings.mip_bias;
+                // Who has jumped is shown what is there until the new cell has more.
+                let has_jumped = viewer.has_jumped_from(id);
+                let Some(requests) = viewer.requests_in(id) else {
                     continue;
-                }
-                if drifted || viewer.requests.len() != spheres.len() {
-                    let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
-                    let mip_bias = viewer.quality.settings.mip_bias;
-                    viewer.requests = spheres
+                };
+                if has_jumped {
+                    *requests = vec![Vec::new(); spheres.len()];
+                } else if drifted || requests.len() != spheres.len() {
+                    let frustum = view_frustum(&camera, size, &cell.frame);
+                    *requests = spheres
                         .iter()
                         .map(|s| requested_tiles(&frustum, s, mip_bias))
                         .collect();
                 }
+                read.push(requests);
             }
-            let cached_viewers = || {
-                self.viewers
-                    .values()
-                    .filter(move |v| v.cell == id && v.reads_cache())
-            };
             // Nobody who reads the cache: nobody who needs its coarse level.
-            let used = cached_viewers().next().is_some();
+            let used = !read.is_empty();
             for (layer, coarse) in cell.coarse.iter().enumerate() {
-                let requests = cached_viewers()
-                    .filter_map(|v| v.requests.get(layer))
-                    .flatten();
+                let requests = read.iter().filter_map(|r| r.get(layer)).flatten();
                 let sphere = self.caches.sphere_mut(SphereId {
                     cell: id,
                     layer: layer as u32,
@@ -351,13 +347,13 @@ impl SkyRenderer {
             .map_or(Duration::ZERO, |cell| cell.begun.elapsed())
     }
 
-    /// Whether the coarse level of a viewer's cell shows the present sky.
-    pub(super) fn coarse_is_ready(&self, viewer: &ActiveViewer) -> bool {
-        self.active_cells.get(&viewer.cell).is_some_and(|cell| {
+    /// Whether the coarse level of a cell shows the present sky.
+    pub(super) fn coarse_is_ready(&self, id: CellId) -> bool {
+        self.active_cells.get(&id).is_some_and(|cell| {
             cell.coarse.len() == self.active.len()
                 && cell.coarse.iter().enumerate().all(|(layer, tiles)| {
                     let id = SphereId {
-                        cell: viewer.cell,
+                        cell: id,
                         layer: layer as u32,
                     };
                     self.caches
@@ -367,11 +363,11 @@ impl SkyRenderer {
         })
     }
 
-    /// Whether some tile that a viewer asks for does not show the present sky yet.
-    pub(super) fn is_coarse(&self, viewer: &ActiveViewer) -> bool {
-        viewer.requests.iter().enumerate().any(|(layer, tiles)| {
+    /// Whether some tile that is asked for of a cell does not show the present sky yet.
+    pub(super) fn is_coarse(&self, cell: CellId, requests: &[Vec<TileRequest>]) -> bool {
+        requests.iter().enumerate().any(|(layer, tiles)| {
             let id = SphereId {
-                cell: viewer.cell,
+                cell,
                 layer: layer as u32,
             };
             self.caches

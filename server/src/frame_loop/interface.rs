@@ -263,6 +263,8 @@ pub struct RenderStats {
     pub audit: AuditStats,
     /// What is picked for viewers who ask for no quality.
     pub quality: QualityStats,
+    /// Viewers on their way from one view cell to another.
+    pub transitions: TransitionStats,
     /// The view cells that exist.
     pub cells: Vec<CellStats>,
     /// The viewers that the loop knows.
@@ -352,6 +354,24 @@ pub struct RenderTotals {
     pub gpu_light_shaft_ns: u64,
 }
 
+/// Viewers on their way from one view cell to another, and what that takes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct TransitionStats {
+    /// Viewers on their way now.
+    pub viewers: u64,
+    /// Those of them whose frames are a mix of both cells' pictures; the others are shown the old one.
+    pub fading: u64,
+    /// Cells without members whose caches are kept for them.
+    pub cells_kept: u64,
+    /// GPU memory of their second pictures.
+    pub picture_bytes: u64,
+    /// Changes of cells that were shown by such a way, since the start.
+    pub begun: u64,
+    /// Changes of cells that were shown at once, because there was no room for both cells or the new one was not there in
+    /// time, since the start.
+    pub swapped: u64,
+}
+
 /// A view cell.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct CellStats {
@@ -396,6 +416,8 @@ pub struct ViewerRenderStats {
     pub id: ViewerId,
     /// The view cell that it belongs to.
     pub cell: CellId,
+    /// The one that it leaves, while it is on its way from there.
+    pub leaves: Option<CellId>,
     /// Texels that it requests.
     pub texels_requested: u64,
     /// Frames composited for it.

@@ -19,6 +19,7 @@ mod stats;
 mod still;
 mod still_settings;
 mod sun_volumes;
+mod transitions;
 mod viewers_on_device;
 mod views;
 

@@ -60,6 +60,7 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             ..renderer.audit.stats(Instant::now())
         },
         quality: renderer.scene_quality_stats(),
+        transitions: renderer.transition_stats(),
         cells: renderer
             .cells
             .iter()
@@ -71,6 +72,7 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             .map(|(id, viewer)| ViewerRenderStats {
                 id: *id,
                 cell: viewer.cell,
+                leaves: viewer.transition.as_ref().map(|t| t.from),
                 texels_requested: viewer.texels_requested(),
                 frames_composited: viewer.frames_composited,
                 frames_in_flight: viewer.frames_in_flight(),

@@ -1,0 +1,488 @@
+//! Transitions through the renderer: what frames show on the way, and what is left behind.
+
+use super::*;
+use crate::cells::CellLimit;
+use crate::config::{PlacedCell, RenderConfig};
+use crate::frame_loop::interface::{FinishedFrame, FrameSink, ViewRequest};
+use crate::measure::metrics::shown_errors;
+use image::RgbImage;
+use serde_json::{Value, json};
+use skycell_protocol::{Codec, FrameSize, InputSequence, Scene, Show};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
+
+const STANDING: ViewerId = ViewerId(1);
+/// Frames a second, in all that is compared.
+const FPS: f64 = 20.0;
+/// Tiles that are marched between two frames.
+const TILES: usize = 6;
+
+/// The last frame that was delivered.
+#[derive(Default)]
+struct LastFrame(Mutex<Option<RgbImage>>);
+
+impl FrameSink for LastFrame {
+    fn deliver(&self, frame: FinishedFrame) {
+        let (width, height) = (frame.size.width(), frame.size.height());
+        let rgb = frame.pixels.rgba().chunks_exact(4);
+        let rgb = rgb.flat_map(|p| [p[0], p[1], p[2]]).collect();
+        *self.0.lock().expect("a frame") = RgbImage::from_raw(width, height, rgb);
+    }
+}
+
+/// A renderer that is driven frame by frame as the loop does it.
+struct Driven {
+    renderer: SkyRenderer,
+    last: Arc<LastFrame>,
+}
+
+fn scene_of(document: &Value) -> Arc<Scene> {
+    Arc::new(Scene::from_json(document).expect("a scene"))
+}
+
+fn camera(east_m: f64, yaw_deg: f64) -> Camera {
+    Camera::new([east_m, 2.0, 0.0], yaw_deg, 25.0, 60.0).expect("a camera")
+}
+
+fn view(size: [u32; 2], camera: Camera) -> ViewRequest {
+    ViewRequest {
+        size: FrameSize::new(size[0], size[1]).expect("a size"),
+        fps: FPS,
+        codec: Codec::Png,
+        jpeg_quality: 100,
+        camera,
+        renderer: RendererKind::Cached,
+        quality: None,
+        show: Show::Picture,
+    }
+}
+
+impl Driven {
+    fn new(steps: u32, document: &Value, placed: &[PlacedCell]) -> Self {
+        let noise = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/noise-of-tests");
+        let config = RenderConfig {
+            march_steps: Some(steps),
+            ..RenderConfig::new(PathBuf::from(noise))
+        };
+        let gpu = crate::gpu::Gpu::open_blocking().expect("a device");
+        let renderer = SkyRenderer::new(gpu, config, scene_of(document), 1, placed);
+        Self {
+            renderer: renderer.expect("a renderer"),
+            last: Arc::default(),
+        }
+    }
+
+    /// One frame of a viewer, after time has passed.
+    fn frame(&mut self, viewer: ViewerId, passed_s: f64) -> RgbImage {
+        self.turn(passed_s);
+        self.show(viewer)
+    }
+
+    /// What happens between two frames.
+    fn turn(&mut self, passed_s: f64) {
+        let renderer = &mut self.renderer;
+        renderer.march(TILES);
+        renderer.advance_time(passed_s);
+        renderer.regroup(passed_s);
+        renderer.pass_transitions(passed_s);
+        renderer.refresh_cells();
+        renderer.gpu.wait().expect("a device");
+    }
+
+    fn show(&mut self, viewer: ViewerId) -> RgbImage {
+        let sink: Arc<dyn FrameSink> = self.last.clone();
+        assert_eq!(self.renderer.composite(&[viewer], &sink), [viewer]);
+        self.renderer.gpu.wait().expect("a device");
+        let mut last = self.last.0.lock().expect("a frame");
+        last.take().expect("a picture")
+    }
+
+    /// Marches all that is wanted.
+    fn settle(&mut self) {
+        self.renderer.refresh_cells();
+        while !self.renderer.march(32).is_empty() {
+            self.renderer.refresh_cells();
+        }
+        self.renderer.gpu.wait().expect("a device");
+    }
+
+    fn stage(&self, viewer: ViewerId) -> Option<Stage> {
+        let viewer = self.renderer.viewers.get(&viewer)?;
+        Some(viewer.transition.as_ref()?.way.stage())
+    }
+
+    fn share(&self, viewer: ViewerId) -> f64 {
+        let viewer = self.renderer.viewers.get(&viewer).expect("a viewer");
+        viewer.transition.as_ref().map_or(1.0, |t| t.way.share())
+    }
+
+    fn cell_of(&self, viewer: ViewerId) -> CellId {
+        self.renderer.viewers[&viewer].cell
+    }
+
+    /// Turns until a viewer's way has come to a stage, or has ended.
+    fn until(&mut self, viewer: ViewerId, stage: Option<Stage>) {
+        for _ in 0..400 {
+            if self.stage(viewer) == stage {
+                return;
+            }
+            self.turn(1.0 / FPS);
+        }
+        panic!(
+            "{stage:?} never comes: {:?}",
+            self.renderer.transition_stats()
+        );
+    }
+
+    /// Steps a viewer aside.
+    fn go(&mut self, viewer: ViewerId, east_m: f64) {
+        let input = InputSequence(1);
+        self.renderer
+            .set_camera(viewer, input, camera(east_m, 40.0));
+    }
+}
+
+/// FLIP between each frame and the next.
+fn steps(frames: &[RgbImage]) -> Vec<f64> {
+    frames
+        .windows(2)
+        .map(|pair| shown_errors(&pair[0], &pair[1]).expect("comparable").flip)
+        .collect()
+}
+
+fn mean_and_most(values: &[f64]) -> [f64; 2] {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    [mean, values.iter().copied().fold(0.0, f64::max)]
+}
+
+/// A viewer who stands at the edge of the cell of a crowd whose limit is about to be less, so that it gets one of its own. Of a
+/// crowd of 60, one who leaves does not move the reference.
+fn left_behind(crowd: u32) -> Driven {
+    let mut driven = Driven::new(48, &json!({"version": 1}), &[]);
+    for id in 2..2 + crowd {
+        let there = view([16, 12], camera(2_400.0, 40.0));
+        driven.renderer.join(ViewerId(id), there);
+    }
+    let here = view([160, 90], camera(0.0, 40.0));
+    driven.renderer.join(STANDING, here);
+    for _ in 0..600 {
+        driven.renderer.regroup(0.1);
+    }
+    assert_eq!(driven.cell_of(STANDING), driven.cell_of(ViewerId(2)));
+    driven.settle();
+    driven
+}
+
+/// FLIP between successive frames before and during a transition of one who stands, and from its first to its last one.
+struct Measured {
+    wind: Vec<f64>,
+    waits: Vec<f64>,
+    fades: Vec<f64>,
+    whole: f64,
+    texels: u64,
+}
+
+fn measured(crowd: u32) -> Measured {
+    let mut driven = left_behind(crowd);
+    let wind: Vec<RgbImage> = (0..40).map(|_| driven.frame(STANDING, 1.0 / FPS)).collect();
+    let marched = driven.renderer.counters.tiles_updated;
+    driven
+        .renderer
+        .cells
+        .set_limit(CellLimit::new(500.0, 500.0));
+    let (mut waits, mut fades) = (vec![wind[39].clone()], Vec::new());
+    loop {
+        let frame = driven.frame(STANDING, 1.0 / FPS);
+        match driven.stage(STANDING) {
+            Some(Stage::Waits) => waits.push(frame),
+            Some(_) => fades.push(frame),
+            None => {
+                fades.push(frame);
+                break;
+            }
+        }
+    }
+    assert_ne!(driven.cell_of(STANDING), driven.cell_of(ViewerId(2)));
+    let marched = driven.renderer.counters.tiles_updated - marched;
+    let ends = [fades[0].clone(), fades[fades.len() - 1].clone()];
+    fades.insert(0, waits[waits.len() - 1].clone());
+    Measured {
+        wind: steps(&wind),
+        waits: steps(&waits),
+        whole: steps(&ends)[0],
+        fades: steps(&fades),
+        texels: marched * crate::cache::TEXELS_PER_TILE,
+    }
+}
+
+impl Measured {
+    fn print(&self, what: &str) {
+        for (stage, steps) in [
+            ("wind", &self.wind),
+            ("waits", &self.waits),
+            ("fades", &self.fades),
+        ] {
+            let [mean, most] = mean_and_most(steps);
+            println!(
+                "{what}, {stage}: FLIP {mean:.5} in the mean, {most:.5} at most, {} frames",
+                steps.len()
+            );
+        }
+        let pixels = 160 * 90 * self.fades.len();
+        println!(
+            "{what}: from the first to the last frame {:.4}; {} texels, own rays {pixels} pixels",
+            self.whole, self.texels
+        );
+        println!("{:.4?}\n{:.4?}", self.waits, self.fades);
+    }
+}
+
+#[test]
+fn no_frame_of_a_standing_viewer_between_two_cells_differs_from_the_last_by_twice_what_wind_does() {
+    let found = measured(60);
+    found.print("one leaves a crowd");
+    let [wind, _] = mean_and_most(&found.wind);
+    let [_, most] = mean_and_most(&[found.waits, found.fades].concat());
+    // Planted: the new cell at once, as soon as it is there.
+    let mut driven = left_behind(60);
+    let before = driven.frame(STANDING, 1.0 / FPS);
+    driven
+        .renderer
+        .cells
+        .set_limit(CellLimit::new(500.0, 500.0));
+    driven.renderer.regroup(1.0 / FPS);
+    driven.renderer.end_transitions();
+    driven.settle();
+    let pop = steps(&[before, driven.show(STANDING)])[0];
+    println!("at once: {pop:.4}");
+    assert!(pop > 10.0 * wind, "{pop}");
+    assert!(most < 2.0 * wind, "{most} of {wind}");
+}
+
+fn placed(name: &str, east_m: f64) -> PlacedCell {
+    PlacedCell {
+        name: name.into(),
+        center_m: [east_m, 2.0, 0.0],
+        radius_m: 60.0,
+    }
+}
+
+/// Three cells beside each other under a cheap sky, and a viewer in the first whose picture is whole.
+fn in_a_row() -> Driven {
+    let document = json!({"version": 1, "wind": {"speed_m_per_s": 0}, "layers": [
+        {"name": "low", "density": {"model": "homogeneous", "shape":
+         {"form": "sphere", "center_m": [0, 2000, -3000], "radius_m": 900}}}]});
+    let cells = [placed("a", 0.0), placed("b", 110.0), placed("c", 220.0)];
+    let mut driven = Driven::new(16, &document, &cells);
+    driven
+        .renderer
+        .join(STANDING, view([64, 36], camera(0.0, 0.0)));
+    driven.settle();
+    driven
+}
+
+/// Mean difference of two pictures, in steps of 8 bits.
+fn apart(a: &RgbImage, b: &RgbImage) -> f64 {
+    let pairs = a.as_raw().iter().zip(b.as_raw());
+    let sum: f64 = pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
+    sum / a.as_raw().len() as f64
+}
+
+#[test]
+fn a_mix_begins_with_the_old_picture_ends_with_the_new_one_and_lies_between_them() {
+    let mut driven = in_a_row();
+    driven.go(STANDING, 110.0);
+    driven.until(STANDING, Some(Stage::Waits));
+    driven.settle();
+    let old = driven.show(STANDING);
+    driven.until(STANDING, Some(Stage::Fades));
+    assert!(driven.share(STANDING) == 0.0 && apart(&driven.show(STANDING), &old) == 0.0);
+    let mut between = Vec::new();
+    while driven.stage(STANDING) == Some(Stage::Fades) {
+        between.push((driven.share(STANDING), driven.show(STANDING)));
+        driven.turn(1.0 / FPS);
+    }
+    let new = driven.show(STANDING);
+    let whole = apart(&old, &new);
+    assert!(whole > 0.3, "nothing to be seen: {whole}");
+    for (share, picture) in &between {
+        let [from_old, from_new] = [&old, &new].map(|end| apart(end, picture));
+        // Thresholds spread the rounding, so that it vanishes in the mean: to a thirtieth of a step over 64 x 36 pixels.
+        assert!(
+            (from_old - share * whole).abs() < 0.04,
+            "{share}: {from_old} of {whole}"
+        );
+        assert!(
+            (from_new - (1.0 - share) * whole).abs() < 0.04,
+            "{share}: {from_new}"
+        );
+    }
+}
+
+#[test]
+fn a_change_in_the_middle_of_a_way_goes_back_or_on_and_never_jumps() {
+    let mut driven = in_a_row();
+    let a = driven.cell_of(STANDING);
+    driven.go(STANDING, 110.0);
+    driven.until(STANDING, Some(Stage::Fades));
+    let b = driven.cell_of(STANDING);
+    while driven.share(STANDING) < 0.3 {
+        driven.turn(1.0 / FPS);
+    }
+    // Back: the same picture, with both cells exchanged.
+    let (before, share) = (driven.show(STANDING), driven.share(STANDING));
+    let viewer = STANDING;
+    let input = InputSequence(2);
+    let back = camera(110.0, 40.0);
+    driven
+        .renderer
+        .cells
+        .place(viewer, DVec3::new(0.0, 2.0, 0.0));
+    driven.renderer.regroup(0.0);
+    driven.renderer.refresh_cells();
+    assert_eq!(driven.cell_of(viewer), a);
+    assert!((driven.share(viewer) - (1.0 - share)).abs() < 1e-12);
+    assert!(apart(&driven.show(viewer), &before) == 0.0);
+    // To a third cell: after these two.
+    driven
+        .renderer
+        .cells
+        .place(viewer, DVec3::new(220.0, 2.0, 0.0));
+    driven.renderer.regroup(0.0);
+    driven.renderer.refresh_cells();
+    assert_eq!(driven.cell_of(viewer), a);
+    assert!(apart(&driven.show(viewer), &before) == 0.0);
+    assert_eq!(
+        driven.renderer.active_cells.len(),
+        3,
+        "both that are shown and the next"
+    );
+    while driven.cell_of(viewer) == a {
+        driven.turn(1.0 / FPS);
+    }
+    let c = driven.cell_of(viewer);
+    assert!(c != a && c != b && driven.stage(viewer) == Some(Stage::Waits));
+    driven.until(viewer, None);
+    driven.renderer.set_camera(viewer, input, back);
+    assert_eq!(
+        driven.renderer.active_cells.len(),
+        1,
+        "nothing is left behind"
+    );
+}
+
+#[test]
+fn nothing_outlives_a_way_that_ends_early() {
+    type Ends = fn(&mut Driven);
+    let ends: [(&str, Ends, usize); 4] = [
+        (
+            "the viewer leaves",
+            |driven| driven.renderer.leave(STANDING),
+            0,
+        ),
+        (
+            "layers move",
+            |driven| {
+                let document = json!({"version": 1, "wind": {"speed_m_per_s": 0}, "layers": [
+                    {"base_altitude_m": 3000, "top_altitude_m": 4000,
+                     "density": {"model": "homogeneous"}}]});
+                let scene = scene_of(&document);
+                driven.renderer.set_scene(scene, 2).expect("a scene");
+            },
+            1,
+        ),
+        (
+            "rays of its own",
+            |driven| {
+                let high = Camera::new([110.0, 9_000.0, 0.0], 0.0, 0.0, 60.0).expect("a camera");
+                driven.renderer.set_camera(STANDING, InputSequence(3), high);
+                driven.turn(1.0 / FPS);
+            },
+            1,
+        ),
+        (
+            "another size, and the end",
+            |driven| {
+                let larger = view([80, 48], camera(110.0, 40.0));
+                driven.renderer.set_view(STANDING, larger);
+                driven.turn(1.0 / FPS);
+                assert_eq!(driven.stage(STANDING), Some(Stage::Fades));
+                assert_eq!(driven.show(STANDING).dimensions(), (80, 48));
+                driven.until(STANDING, None);
+            },
+            1,
+        ),
+    ];
+    for (what, end, cells) in ends {
+        let mut driven = in_a_row();
+        driven.go(STANDING, 110.0);
+        driven.until(STANDING, Some(Stage::Fades));
+        driven.turn(0.01);
+        let stats = driven.renderer.transition_stats();
+        assert_eq!(
+            [stats.viewers, stats.fading, stats.cells_kept, stats.begun],
+            [1; 4],
+            "{what}"
+        );
+        assert_eq!(stats.picture_bytes, 64 * 36 * 4);
+        end(&mut driven);
+        let stats = driven.renderer.transition_stats();
+        let left = [
+            stats.viewers,
+            stats.fading,
+            stats.cells_kept,
+            stats.picture_bytes,
+        ];
+        assert_eq!(left, [0; 4], "{what}");
+        assert_eq!(driven.renderer.active_cells.len(), cells, "{what}");
+    }
+}
+
+#[test]
+fn who_jumps_far_is_shown_the_coarse_sky_of_there_soon_and_marches_nothing_for_the_old_cell() {
+    let mut driven = in_a_row();
+    driven.show(STANDING);
+    let left = driven.cell_of(STANDING);
+    driven.go(STANDING, 80_000.0);
+    driven.turn(0.01);
+    assert_eq!(driven.stage(STANDING), Some(Stage::Waits));
+    let wanted = |driven: &Driven| -> u64 {
+        let spheres = driven.renderer.caches.spheres_of(left);
+        spheres
+            .map(|(_, sphere)| sphere.requested_and_unique().0)
+            .sum()
+    };
+    assert_eq!(wanted(&driven), 0);
+    driven.until(STANDING, Some(Stage::Fades));
+    let mut frames = 0;
+    while driven.stage(STANDING).is_some() {
+        driven.turn(1.0 / FPS);
+        frames += 1;
+    }
+    assert!(frames <= 5, "{frames}");
+}
+
+#[test]
+fn more_viewers_than_there_is_room_for_change_cells_at_once_and_are_counted() {
+    let mut driven = in_a_row();
+    let crowd = VIEWERS_MAX as u32 + 3;
+    for id in 2..=crowd {
+        driven
+            .renderer
+            .join(ViewerId(id), view([16, 12], camera(0.0, 0.0)));
+    }
+    driven.settle();
+    for id in 1..=crowd {
+        driven.go(ViewerId(id), 110.0);
+    }
+    driven.turn(1.0 / FPS);
+    let stats = driven.renderer.transition_stats();
+    assert_eq!(
+        [stats.viewers, stats.begun, stats.swapped],
+        [VIEWERS_MAX as u64, VIEWERS_MAX as u64, 3]
+    );
+    assert_eq!(stats.cells_kept, 1);
+    driven.until(STANDING, None);
+    driven.turn(1.0);
+    assert_eq!(driven.renderer.active_cells.len(), 1);
+}
