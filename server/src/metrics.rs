@@ -120,6 +120,10 @@ fn describe() {
     describe_counter!("skycell_dispatches_total", "Compute dispatches and draws");
     describe_counter!("skycell_texels_updated_total", "Cache texels marched");
     describe_counter!("skycell_tiles_updated_total", "Cache tiles marched");
+    describe_counter!(
+        "skycell_tiles_resampled_total",
+        "Cache tiles filled from others when a cell got new anchors"
+    );
     describe_counter!("skycell_tiles_evicted_total", "Cache tiles given up");
     describe_counter!(
         "skycell_texels_audited_total",
@@ -231,6 +235,7 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
     counter!("skycell_dispatches_total").absolute(totals.dispatches);
     counter!("skycell_texels_updated_total").absolute(totals.texels_updated);
     counter!("skycell_tiles_updated_total").absolute(totals.tiles_updated);
+    counter!("skycell_tiles_resampled_total").absolute(totals.tiles_resampled);
     counter!("skycell_tiles_evicted_total").absolute(totals.tiles_evicted);
     counter!("skycell_texels_audited_total").absolute(totals.texels_audited);
     counter!("skycell_frames_composited_total").absolute(totals.frames_composited);
@@ -238,7 +243,9 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
     counter!("skycell_screen_space_marches_total").absolute(totals.screen_space_marches);
     for (pass, time_ns) in [
         ("cache", totals.gpu_cache_ns),
+        ("resample", totals.gpu_resample_ns),
         ("audit", totals.gpu_audit_ns),
+        ("fade", totals.gpu_fade_ns),
         ("composite", totals.gpu_composite_ns),
         ("screen-space", totals.gpu_screen_space_ns),
         ("sun-volume", totals.gpu_sun_volume_ns),

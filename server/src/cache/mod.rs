@@ -16,7 +16,7 @@ pub use requests::{
 };
 pub use sphere::{NO_TILE, PageTables, SphereCache, Want};
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use skycell_protocol::CellId;
 use std::collections::BTreeMap;
 
@@ -161,6 +161,59 @@ impl Caches {
         }
     }
 
+    /// Takes a cell's spheres out, with their slots, and leaves empty ones that know what time it is.
+    pub fn take_spheres(&mut self, cell: CellId) -> BTreeMap<u32, SphereCache> {
+        let ids: Vec<SphereId> = self.spheres_of(cell).map(|(id, _)| *id).collect();
+        let mut taken = BTreeMap::new();
+        for id in ids {
+            if let Some(sphere) = self.spheres.get_mut(&id) {
+                let fresh = sphere.like();
+                taken.insert(id.layer, std::mem::replace(sphere, fresh));
+            }
+        }
+        taken
+    }
+
+    /// Gives the tiles that a sphere wants slots as far as there are any, to be filled from those of the sphere that was in its
+    /// place; `places` are the tile's in the octahedral square of that one, and `reference` is where rays start. Tiles of which
+    /// the old sphere shows nothing are left out. Returns what is to be filled.
+    pub fn resample(
+        &mut self,
+        id: SphereId,
+        old: &SphereCache,
+        reference: DVec3,
+        places: impl Fn(TileKey) -> Vec<DVec2>,
+    ) -> Vec<(TileKey, Slot)> {
+        let mut filled = Vec::new();
+        let mut evictable = None;
+        let keys = self
+            .spheres
+            .get(&id)
+            .map(SphereCache::wanted_keys)
+            .unwrap_or_default();
+        for key in keys {
+            let sources = old.sources(key, &places(key));
+            if sources.is_empty() {
+                continue;
+            }
+            let Some(slot) = self.pool.allocate().or_else(|| self.evict(&mut evictable)) else {
+                break;
+            };
+            if let Some(sphere) = self.spheres.get_mut(&id) {
+                sphere.insert_resampled(key, slot, old, &sources, reference, self.frame);
+                filled.push((key, slot));
+            }
+        }
+        filled
+    }
+
+    /// Gives the slots of a sphere back that was taken out.
+    pub fn release(&mut self, mut sphere: SphereCache) {
+        for slot in sphere.clear() {
+            self.pool.release(slot);
+        }
+    }
+
     /// A frame was composited for a cell: its wanted tiles were seen.
     pub fn frame_shown(&mut self, cell: CellId) {
         self.frame += 1;
@@ -188,7 +241,6 @@ impl Caches {
             sphere.plan_at(reference);
             let samples = sphere.samples().unwrap_or(all_samples);
             sphere.candidates(samples, reference, self.is_calm, &mut found);
-            //.samples_of(sphere), reference, self.is_calm, &mut found);
             candidates.extend(found.drain(..).map(|candidate| (*id, reference, candidate)));
         }
         candidates.sort_unstable_by(|a, b| a.2.rank(&b.2).then(a.0.cmp(&b.0)));

@@ -27,7 +27,7 @@ const AGES_INTERVAL: Duration = Duration::from_millis(500);
 /// Where a layer's addresses are centred: follows the layer's wind.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Anchor {
-    at_start_m: DVec3,
+    pub(super) at_start_m: DVec3,
     drift_at_start_m: DVec3,
 }
 
@@ -35,7 +35,7 @@ pub(super) struct Anchor {
 pub(super) struct ActiveCell {
     pub(super) frame: CellFrame,
     pub(super) reference_m: DVec3,
-    anchors: Vec<Anchor>,
+    pub(super) anchors: Vec<Anchor>,
     coarse: Vec<Vec<TileRequest>>,
     pub(super) buffers: CellBuffers,
     /// How its rays are marched.
@@ -52,6 +52,17 @@ pub(super) struct ActiveCell {
     ages_written: Instant,
     /// Measures the light of the sky, where exposure follows it.
     pub(super) meter: Option<Meter>,
+}
+
+impl ActiveCell {
+    /// Goes on as another one did, but for where its texels are.
+    pub(super) fn take_over(&mut self, before: &mut Self) {
+        self.settings = before.settings;
+        self.samples = before.samples;
+        self.begun = before.begun;
+        // Eyes stay used to the light.
+        self.meter = before.meter.take();
+    }
 }
 
 impl SkyRenderer {
@@ -149,6 +160,9 @@ impl SkyRenderer {
             .map(|(id, cell)| (id, cell.reference_m))
             .collect();
         for (id, reference_m) in references {
+            if self.holds_reference(id, reference_m) {
+                continue;
+            }
             match self.active_cells.get_mut(&id) {
                 Some(cell) if cell.reference_m != reference_m => {
                     cell.reference_m = reference_m;
@@ -213,7 +227,7 @@ impl SkyRenderer {
         let windy = self.wind_speed_max_m_per_s() > 0.0;
         for id in ids {
             if self.anchors_are_far(id) {
-                self.restart_cell(id);
+                self.reanchor_cell(id);
             }
             let Some(mut cell) = self.active_cells.remove(&id) else {
                 continue;

@@ -316,6 +316,8 @@ pub struct RenderTotals {
     pub texels_updated: u64,
     /// Cache tiles marched.
     pub tiles_updated: u64,
+    /// Cache tiles filled from others when a cell got new anchors.
+    pub tiles_resampled: u64,
     /// Cache tiles given up.
     pub tiles_evicted: u64,
     /// Cache texels marched again to see how wrong the cache is.
@@ -326,6 +328,10 @@ pub struct RenderTotals {
     pub frames_read_back: u64,
     /// GPU time of cache updates.
     pub gpu_cache_ns: u64,
+    /// GPU time of the passes that fill tiles from others.
+    pub gpu_resample_ns: u64,
+    /// GPU time of mixes of two view cells' pictures.
+    pub gpu_fade_ns: u64,
     /// GPU time of audits.
     pub gpu_audit_ns: u64,
     /// GPU time of composites.

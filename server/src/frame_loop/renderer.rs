@@ -29,7 +29,7 @@ use crate::gpu::{
 use crate::march::{
     ActiveLayer, Atlas, LayerBlend, MarchSettings, SkyLight, TexelMarch, WINDOW_FRAMES_MAX,
     active_layers, audit_key, drift_m_per_s, layer_features, pixels_key, placed_sheets,
-    placed_weather, possible_frames, resolve_key, sky_light, sun_angular_radius_rad,
+    placed_weather, possible_frames, resample_key, resolve_key, sky_light, sun_angular_radius_rad,
     sun_columns_key, texels_key, window_key,
 };
 use glam::DVec3;
@@ -54,6 +54,7 @@ pub(super) struct Counters {
     pub(super) submissions: u64,
     pub(super) dispatches: u64,
     pub(super) tiles_updated: u64,
+    pub(super) tiles_resampled: u64,
     pub(super) texels_audited: u64,
     pub(super) frames_composited: u64,
     pub(super) screen_space_marches: u64,
@@ -293,7 +294,7 @@ impl SkyRenderer {
             keys.extend(table_keys());
         }
         if !active.is_empty() {
-            keys.push(fade_key());
+            keys.extend([fade_key(), resample_key()]);
         }
         let has_shafts = scene.light_shafts() && !active.is_empty();
         if has_shafts {
@@ -379,6 +380,7 @@ impl SkyRenderer {
             while self.update_light_shafts(usize::MAX >> 32).is_pending {}
             for update in self.march(1) {
                 self.warm_up_audit(&update);
+                self.warm_up_resample(&update);
             }
             if renderer == RendererKind::ScreenSpace {
                 self.march_screen_space(viewer, 1);

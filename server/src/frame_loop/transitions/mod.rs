@@ -26,6 +26,8 @@ use skycell_protocol::{Camera, CellId, RendererKind, ViewerId};
 const VIEWERS_MAX: usize = 32;
 /// Most bytes of second pictures: fifteen of 1920×1080.
 const PICTURES_BYTES_MAX: u64 = 128 << 20;
+/// The reference of a cell that somebody leaves stands still for that while it would not have to move farther, m.
+const HELD_MAX_M: f64 = 3_000.0;
 /// Time that passes for a way between two looks at most, s: a loop that was held up shows no jump.
 const PASSED_MAX_S: f64 = 0.1;
 /// Clouds count as no nearer than this, m.
@@ -303,6 +305,20 @@ impl SkyRenderer {
             .acos();
         let moved_rad = was_m.distance(is_m) / self.cloud_height_m(is_m.y);
         Way::hidden_by(turned_rad, moved_rad)
+    }
+
+    /// Whether rays of a cell go on starting where they did although its reference is elsewhere by now: who leaves a cell that
+    /// falls apart would see it jump, and those who stay were within its limit before.
+    pub(super) fn holds_reference(&self, id: CellId, reference_m: DVec3) -> bool {
+        let limit = self.cells.limit();
+        let is_left = |viewer: &ActiveViewer| {
+            let transition = viewer.transition.as_ref();
+            transition.is_some_and(|t| t.from == id && !t.way.has_jumped())
+        };
+        self.active_cells
+            .get(&id)
+            .is_some_and(|cell| limit.distance_m(cell.reference_m, reference_m) <= HELD_MAX_M)
+            && self.viewers.values().any(is_left)
     }
 
     /// Shows every viewer the cell that it belongs to: nothing is left of what was shown.

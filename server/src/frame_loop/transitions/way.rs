@@ -3,9 +3,9 @@
 /// A viewer that stands is shown the way from one picture to the other in this time for each radian by which both references
 /// are apart, seen from the lowest clouds, s: so slowly that no frame differs from the one before by twice what wind makes it
 /// (tested; an error that grows with the distance takes as much longer to be hidden).
-const STANDING_S_PER_RAD: f64 = 24.0;
+const STANDING_S_PER_RAD: f64 = 36.0;
 /// And never in less or more than this, s.
-const STANDING_S: std::ops::RangeInclusive<f64> = 4.0..=30.0;
+const STANDING_S: std::ops::RangeInclusive<f64> = 4.0..=40.0;
 /// Share of the way in which it sets out, and in which it arrives; in between it is even, since the fastest part sets the time.
 const EASE: f64 = 0.15;
 /// One that moves, however fast, in this time at least, s.
