@@ -207,6 +207,13 @@ impl Caches {
         filled
     }
 
+    /// Puts a sphere that was taken out in the place of another.
+    pub fn put(&mut self, id: SphereId, sphere: SphereCache) {
+        if let Some(before) = self.spheres.insert(id, sphere) {
+            self.release(before);
+        }
+    }
+
     /// Gives the slots of a sphere back that was taken out.
     pub fn release(&mut self, mut sphere: SphereCache) {
         for slot in sphere.clear() {

@@ -52,6 +52,8 @@ pub(super) struct ActiveCell {
     ages_written: Instant,
     /// Measures the light of the sky, where exposure follows it.
     pub(super) meter: Option<Meter>,
+    /// Of a cell that is shown as it was before it became another: which one, and its exposure.
+    pub(super) stands_for: Option<(CellId, f64)>,
 }
 
 impl ActiveCell {
@@ -62,6 +64,13 @@ impl ActiveCell {
         self.begun = before.begun;
         // Eyes stay used to the light.
         self.meter = before.meter.take();
+    }
+
+    /// Goes on as what a cell was before it became another one.
+    pub(super) fn stand_for(&mut self, id: CellId, exposure_ev: f64) {
+        self.meter = None;
+        self.stands_for = Some((id, exposure_ev));
+        self.requests_changed = true;
     }
 }
 
@@ -88,6 +97,7 @@ impl SkyRenderer {
             looked_up: Instant::now(),
             ages_written: Instant::now(),
             meter: None,
+            stands_for: None,
         }
     }
 
@@ -223,12 +233,16 @@ impl SkyRenderer {
     /// Brings everything that the caches and the device know of cells up to the present: anchors that have drifted,
     /// requests of viewers that have turned, new page tables.
     pub(super) fn refresh_cells(&mut self) {
-        let ids: Vec<CellId> = self.active_cells.keys().copied().collect();
+        let ids =
+            |renderer: &Self| -> Vec<CellId> { renderer.active_cells.keys().copied().collect() };
         let windy = self.wind_speed_max_m_per_s() > 0.0;
-        for id in ids {
+        for id in ids(self) {
             if self.anchors_are_far(id) {
                 self.reanchor_cell(id);
             }
+        }
+        // Among them what is still shown of those that have new anchors.
+        for id in ids(self) {
             let Some(mut cell) = self.active_cells.remove(&id) else {
                 continue;
             };
@@ -243,7 +257,15 @@ impl SkyRenderer {
             return false;
         };
         let reference = cell.frame.from_world(cell.reference_m);
-        let mut in_cell = self.viewers.values().filter(|viewer| viewer.cell == id);
+        let mut in_cell = self
+            .viewers
+            .values()
+            .filter(|viewer| viewer.cell == id)
+            .peekable();
+        // What is kept for those who leave it stays as they see it.
+        if in_cell.peek().is_none() {
+            return false;
+        }
         // Those with rays of their own have windows that a new frame of the cell would end.
         let is_read = in_cell.any(ActiveViewer::reads_cache);
         self.active.iter().enumerate().any(|(place, layer)| {

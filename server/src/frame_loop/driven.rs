@@ -162,3 +162,10 @@ pub(super) fn apart(a: &RgbImage, b: &RgbImage) -> f64 {
     let sum: f64 = pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
     sum / a.as_raw().len() as f64
 }
+
+/// The median.
+pub(super) fn middle(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    sorted[sorted.len() / 2]
+}

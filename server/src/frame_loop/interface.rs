@@ -360,7 +360,7 @@ pub struct RenderTotals {
     pub gpu_light_shaft_ns: u64,
 }
 
-/// Viewers on their way from one view cell to another, and what that takes.
+/// Viewers on their way from one view cell to another, or from a cell's old anchors to its new ones, and what that takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct TransitionStats {
     /// Viewers on their way now.
@@ -422,7 +422,7 @@ pub struct ViewerRenderStats {
     pub id: ViewerId,
     /// The view cell that it belongs to.
     pub cell: CellId,
-    /// The one that it leaves, while it is on its way from there.
+    /// The one that it leaves, while it is on its way from there: the same one where that has got new anchors.
     pub leaves: Option<CellId>,
     /// Texels that it requests.
     pub texels_requested: u64,

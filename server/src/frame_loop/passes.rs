@@ -282,7 +282,7 @@ impl SkyRenderer {
         shown: Shown,
     ) -> Option<()> {
         let view = self.view_in(viewer, id, requests)?;
-        let shafts = self.shaft_reader(id);
+        let shafts = self.shaft_reader(self.cell_shown_by(id));
         let cell = self.active_cells.get_mut(&id)?;
         let screen_space = viewer.kind == RendererKind::ScreenSpace;
         let (layers, view) = match (screen_space, &viewer.screen_space) {

@@ -56,7 +56,8 @@ impl Readdressed {
 }
 
 impl SkyRenderer {
-    /// Gives a cell new anchors at its reference. Where there is nothing that is worth keeping, its caches start anew.
+    /// Gives a cell new anchors at its reference. Who looks at it sees it about the old ones first, and then goes on to the new
+    /// ones. Where there is nothing that is worth keeping, its caches start anew.
     pub(super) fn reanchor_cell(&mut self, id: CellId) {
         if !self.can_be_resampled(id) {
             self.restart_cell(id);
@@ -71,10 +72,9 @@ impl SkyRenderer {
         if from_origin_m.length() <= FRAME_MOVES_M {
             cell.frame = old.frame;
         }
+        let exposure_ev = old.auto_exposure_ev();
         cell.take_over(&mut old);
-        for viewer in self.viewers.values_mut().filter(|v| v.needs(id)) {
-            viewer.forget_requests();
-        }
+        let stand_in = self.keep_for_viewers(id);
         // What was marched since the last frame is read, too.
         let layers = 0..self.active.len() as u32;
         let tables: Vec<_> = layers
@@ -92,9 +92,16 @@ impl SkyRenderer {
             if let Some(sphere) = spheres.remove(&layer) {
                 let sphere_id = SphereId { cell: id, layer };
                 self.resample(sphere_id, &mut old, &cell, &sphere);
-                // The next layer's tiles may take these slots: passes run in their order.
-                self.caches.release(sphere);
+                match stand_in {
+                    Some(cell) => self.caches.put(SphereId { cell, layer }, sphere),
+                    // The next layer's tiles may take these slots: passes run in their order.
+                    None => self.caches.release(sphere),
+                }
             }
+        }
+        if let Some(stand_in) = stand_in {
+            old.stand_for(id, exposure_ev);
+            self.active_cells.insert(stand_in, old);
         }
         self.audit.tiles_changed();
         self.active_cells.insert(id, cell);

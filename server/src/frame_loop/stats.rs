@@ -75,7 +75,10 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             .map(|(id, viewer)| ViewerRenderStats {
                 id: *id,
                 cell: viewer.cell,
-                leaves: viewer.transition.as_ref().map(|t| t.from),
+                leaves: viewer
+                    .transition
+                    .as_ref()
+                    .map(|t| renderer.cell_shown_by(t.from)),
                 texels_requested: viewer.texels_requested(),
                 frames_composited: viewer.frames_composited,
                 frames_in_flight: viewer.frames_in_flight(),

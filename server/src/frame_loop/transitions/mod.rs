@@ -28,6 +28,8 @@ const VIEWERS_MAX: usize = 32;
 const PICTURES_BYTES_MAX: u64 = 128 << 20;
 /// The reference of a cell that somebody leaves stands still for that while it would not have to move farther, m.
 const HELD_MAX_M: f64 = 3_000.0;
+/// Pictures about old and new anchors differ as little as those of references that are so far apart, rad.
+const NEW_ANCHORS_RAD: f64 = 0.25;
 /// Time that passes for a way between two looks at most, s: a loop that was held up shows no jump.
 const PASSED_MAX_S: f64 = 0.1;
 /// Clouds count as no nearer than this, m.
@@ -115,6 +117,8 @@ pub(super) struct TransitionCounters {
     begun: u64,
     /// Those who were shown their new cell at once, for want of room or time.
     swapped: u64,
+    /// Cells that were shown under another number.
+    stand_ins: u32,
 }
 
 impl SkyRenderer {
@@ -187,6 +191,50 @@ impl SkyRenderer {
         for cell in cells.into_iter().flatten() {
             self.change_requests(cell);
         }
+    }
+
+    /// The cell that is shown by the caches of an active one: itself, or the one that it stands for.
+    pub(super) fn cell_shown_by(&self, id: CellId) -> CellId {
+        let cell = self.active_cells.get(&id);
+        cell.and_then(|cell| cell.stands_for)
+            .map_or(id, |(shown, _)| shown)
+    }
+
+    /// Lets those who look at a cell go on seeing it under another number, which is returned, while the cell itself becomes
+    /// another, and then go on to that. None where nobody does.
+    pub(super) fn keep_for_viewers(&mut self, id: CellId) -> Option<CellId> {
+        let mut room = VIEWERS_MAX.saturating_sub(self.viewers_in_transition());
+        // Far from those of cells, which are counted up.
+        let stand_in = CellId(u32::MAX - self.counters.transitions.stand_ins);
+        let mut is_kept = false;
+        for viewer in self.viewers.values_mut() {
+            let is_in = viewer.cell == id && viewer.kind == RendererKind::Cached;
+            match &mut viewer.transition {
+                Some(transition) if transition.from == id => {
+                    transition.from = stand_in;
+                    is_kept = true;
+                }
+                None if is_in && room > 0 => {
+                    room -= 1;
+                    viewer.transition = Some(Transition {
+                        from: stand_in,
+                        requests: std::mem::take(&mut viewer.requests),
+                        way: Way::new(NEW_ANCHORS_RAD),
+                        fade: None,
+                        camera: viewer.shown_camera,
+                    });
+                    is_kept = true;
+                }
+                _ => {}
+            }
+            if viewer.cell == id {
+                viewer.requests.clear();
+            }
+        }
+        if is_kept {
+            self.counters.transitions.stand_ins += 1;
+        }
+        is_kept.then_some(stand_in)
     }
 
     /// Lets time pass for viewers between two cells. Returns those whose frames show something else for that.
@@ -332,6 +380,7 @@ impl SkyRenderer {
             {
                 viewer.cell = target;
                 viewer.requests.clear();
+                self.change_requests(target);
             }
         }
         self.end_empty_cells();
