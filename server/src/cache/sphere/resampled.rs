@@ -140,3 +140,124 @@ impl SphereCache {
             .is_none_or(|age| age > super::AGE_RESTART)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::cache::{Caches, SphereId, TileKey, TileRequest};
+    use glam::{DVec2, DVec3};
+    use skycell_protocol::CellId;
+
+    const SPHERE: SphereId = SphereId {
+        cell: CellId(1),
+        layer: 0,
+    };
+    const SAMPLES: u32 = 4;
+
+    fn request(key: TileKey) -> TileRequest {
+        TileRequest {
+            key,
+            eccentricity_rad: 0.1,
+            distance_m: 2_000.0,
+        }
+    }
+
+    fn converge(caches: &mut Caches, at: DVec3) -> usize {
+        let mut updates = 0;
+        while !caches.plan(7, |_| Some(at)).is_empty() {
+            updates += 1;
+        }
+        updates
+    }
+
+    /// The middle of a tile in a square that is turned by half against the new one.
+    fn turned(key: TileKey) -> Vec<DVec2> {
+        let side = f64::from(TileKey::tiles_per_side(key.level));
+        let middle = DVec2::new(f64::from(key.x), f64::from(key.y)) + 0.5;
+        vec![DVec2::ONE - middle / side]
+    }
+
+    /// A whole coarse level and some finer tiles, which are then wanted about another anchor.
+    fn moved(tiles_max: u32, age: impl FnOnce(&mut Caches)) -> (Caches, usize) {
+        let mut caches = Caches::new(tiles_max, SAMPLES);
+        let coarse: Vec<TileRequest> = TileKey::all_of(0).map(request).collect();
+        let fine = |x: u16| TileKey { level: 1, x, y: 4 };
+        let before: Vec<TileRequest> = (0..4).map(|x| request(fine(x))).collect();
+        let after: Vec<TileRequest> = (5..9).map(|x| request(fine(x))).collect();
+        caches.sphere_mut(SPHERE).set_wanted(&coarse, &before);
+        converge(&mut caches, DVec3::ZERO);
+        assert!(caches.sphere_mut(SPHERE).coarse_is_shown());
+        age(&mut caches);
+        let old = caches
+            .take_spheres(SPHERE.cell)
+            .remove(&0)
+            .expect("a sphere");
+        caches.sphere_mut(SPHERE).set_wanted(&coarse, &after);
+        let filled = caches.resample(SPHERE, &old, DVec3::ZERO, turned);
+        let slots: std::collections::HashSet<_> = filled.iter().map(|(_, slot)| *slot).collect();
+        assert_eq!(slots.len(), filled.len(), "a slot has one owner");
+        caches.release(old);
+        assert_eq!(
+            caches.resident() as usize,
+            filled.len(),
+            "old slots are given back"
+        );
+        (caches, filled.len())
+    }
+
+    #[test]
+    fn what_was_filled_is_shown_at_once_and_marched_when_there_is_time() {
+        let (mut caches, filled) = moved(100, |_| {});
+        assert_eq!(filled, 29);
+        let sphere = caches.sphere_mut(SPHERE);
+        assert!((5..9).all(|x| sphere.shows_present(&TileKey { level: 1, x, y: 4 })));
+        assert_eq!(sphere.settled(SAMPLES).len(), 4, "with all samples");
+        assert!(sphere.take_tables_changed());
+        // One for the coarse level, all for what viewers see; the first weighs a third.
+        let first = caches.plan(1, |_| Some(DVec3::ZERO));
+        assert!((first[0].weight - 1.0 / 3.0).abs() < 1e-6, "{first:?}");
+        let mut updates = 1;
+        loop {
+            let planned = caches.plan(7, |_| Some(DVec3::ZERO)).len();
+            if planned == 0 {
+                break;
+            }
+            updates += planned;
+        }
+        assert_eq!(updates, 25 + 4 * SAMPLES as usize);
+    }
+
+    #[test]
+    fn what_was_filled_is_as_old_as_the_worst_that_it_was_filled_from() {
+        // Of a sky before: shown, and marched before what is only blurred.
+        let (mut caches, _) = moved(100, Caches::age_all);
+        let sphere = caches.sphere_mut(SPHERE);
+        assert!(!sphere.shows_present(&TileKey {
+            level: 1,
+            x: 5,
+            y: 4
+        }));
+        assert!(sphere.coarse_is_shown());
+        assert_eq!(
+            converge(&mut caches, DVec3::ZERO),
+            (29 + 3 * 4usize).div_ceil(7)
+        );
+        // Seen from elsewhere: nothing of the old view is left, as without new anchors.
+        let (mut caches, _) = moved(100, |_| {});
+        let far = DVec3::X * 2_000.0;
+        assert!(caches.sphere_mut(SPHERE).is_of_elsewhere(far));
+        assert!(
+            caches
+                .plan(40, |_| Some(far))
+                .iter()
+                .all(|update| update.weight == 1.0)
+        );
+    }
+
+    #[test]
+    fn with_too_few_slots_the_coarse_level_comes_first() {
+        // 29 are in use, 27 are left.
+        let (mut caches, filled) = moved(56, |_| {});
+        assert_eq!(filled, 27);
+        assert!(caches.sphere_mut(SPHERE).coarse_is_shown());
+    }
+}

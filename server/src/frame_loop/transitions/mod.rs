@@ -29,9 +29,7 @@ const PICTURES_BYTES_MAX: u64 = 128 << 20;
 /// The reference of a cell that somebody leaves stands still for that while it would not have to move farther, m.
 const HELD_MAX_M: f64 = 3_000.0;
 /// Pictures about old and new anchors differ as little as those of references that are so far apart, rad.
-const NEW_ANCHORS_RAD: f64 = 0.25;
-/// Time that passes for a way between two looks at most, s: a loop that was held up shows no jump.
-const PASSED_MAX_S: f64 = 0.1;
+const NEW_ANCHORS_RAD: f64 = 0.13;
 /// Clouds count as no nearer than this, m.
 const HEIGHT_MIN_M: f64 = 100.0;
 
@@ -255,7 +253,7 @@ impl SkyRenderer {
                 continue;
             };
             let before = viewer.transition.as_ref().map(|t| t.way.share());
-            self.pass_transition(&mut viewer, passed_s.min(PASSED_MAX_S));
+            self.pass_transition(&mut viewer, passed_s);
             let after = viewer.transition.as_ref().map(|t| t.way.share());
             if before != after {
                 changed.push(id);

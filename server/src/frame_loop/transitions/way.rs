@@ -1,15 +1,18 @@
 //! How far a viewer's picture is on its way from one view cell's to another's. Pure decisions; seconds are told.
 
-/// A viewer that stands is shown the way from one picture to the other in this time for each radian by which both references
-/// are apart, seen from the lowest clouds, s: so slowly that no frame differs from the one before by twice what wind makes it
-/// (tested; an error that grows with the distance takes as much longer to be hidden).
-const STANDING_S_PER_RAD: f64 = 36.0;
-/// And never in less or more than this, s.
-const STANDING_S: std::ops::RangeInclusive<f64> = 4.0..=40.0;
+/// A viewer that stands is shown the way between two references that are a radian apart, seen from the lowest clouds, in this
+/// time, s. Tuned: so slowly that no frame differs from the one before by twice what wind makes it (`transitions/tests.rs`).
+const STANDING_RADIAN_S: f64 = 40.0;
+/// Pictures differ less than in proportion to how far references are apart: by this power of it.
+const STANDING_POWER: f64 = 0.75;
+/// A way takes never less or more than this, s.
+const STANDING_S: std::ops::RangeInclusive<f64> = 4.0..=45.0;
 /// Share of the way in which it sets out, and in which it arrives; in between it is even, since the fastest part sets the time.
 const EASE: f64 = 0.15;
 /// One that moves, however fast, in this time at least, s.
 const HURRIED_S: f64 = 0.2;
+/// Time that passes between two pictures at most, s: a loop that was held up shows no jump.
+const FRAME_MAX_S: f64 = 0.1;
 /// Motion tells whether somebody moves for so long, s: who stood still again before the way began is shown it slowly.
 const MOTION_KEPT_S: f64 = 0.3;
 /// A motion by more than so many ways at once is a jump: what was seen before has nothing to do with what is seen now.
@@ -63,7 +66,7 @@ pub(in crate::frame_loop) struct Way {
 impl Way {
     /// A way between cells whose references are apart by an angle, seen from the lowest clouds.
     pub(super) fn new(apart_rad: f64) -> Self {
-        let standing_s = STANDING_S_PER_RAD * apart_rad;
+        let standing_s = STANDING_RADIAN_S * apart_rad.powf(STANDING_POWER);
         Self {
             stage: Stage::Waits,
             standing_s: standing_s.clamp(*STANDING_S.start(), *STANDING_S.end()),
@@ -118,6 +121,7 @@ impl Way {
                 }
             }
             Stage::Fades => {
+                let passed_s = passed_s.min(FRAME_MAX_S);
                 let most = passed_s / HURRIED_S;
                 let hidden = if self.jumped {
                     most
