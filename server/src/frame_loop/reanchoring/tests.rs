@@ -84,9 +84,9 @@ fn a_cell_with_new_anchors_shows_what_it_showed_and_marches_nothing_for_that() {
             0.01,
             0.2,
         ),
-        ("anchors 3.9 km aside", far_m, DVec3::ZERO, 0.03, 1.0),
+        ("anchors 3.9 km aside", far_m, DVec3::ZERO, 0.05, 3.0),
         (
-            "and below",
+            "anchors 2 km aside and lower",
             DVec3::new(2_000.0, -1.0, 0.0),
             DVec3::ZERO,
             0.05,
@@ -119,10 +119,7 @@ fn a_cell_with_new_anchors_shows_what_it_showed_and_marches_nothing_for_that() {
     let mut driven = aside(&still_sky(), far_m, DVec3::ZERO);
     let before = driven.show(VIEWER);
     let id = driven.cell_of(VIEWER);
-    let (tiles, gone) = (
-        driven.renderer.counters.tiles_updated,
-        driven.cell_of(VIEWER),
-    );
+    let tiles = driven.renderer.counters.tiles_updated;
     driven.renderer.restart_cell(id);
     driven.turn(1.0 / FPS);
     driven.turn(1.0 / FPS);
@@ -130,7 +127,7 @@ fn a_cell_with_new_anchors_shows_what_it_showed_and_marches_nothing_for_that() {
     driven.settle();
     let marched = driven.renderer.counters.tiles_updated - tiles;
     println!(
-        "started anew: FLIP {flip_first:.4} two frames later, {marched} tile updates until it is whole; {gone:?}"
+        "started anew: FLIP {flip_first:.4} two frames later, {marched} tile updates until it is whole"
     );
     assert!(flip_first > 0.1);
 }
