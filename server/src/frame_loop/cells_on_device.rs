@@ -24,6 +24,11 @@ const REQUESTS_INTERVAL: Duration = Duration::from_millis(50);
 /// Where ages of tiles are looked at, tables tell them this often.
 const AGES_INTERVAL: Duration = Duration::from_millis(500);
 
+/// A reference that is late goes 63 % of its way in this time, s, ...
+const FOLLOW_TIME_S: f64 = 2.0;
+/// ... until it is so near, m.
+const ARRIVED_M: f64 = 20.0;
+
 /// Where a layer's addresses are centred: follows the layer's wind.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Anchor {
@@ -52,6 +57,8 @@ pub(super) struct ActiveCell {
     ages_written: Instant,
     /// Measures the light of the sky, where exposure follows it.
     pub(super) meter: Option<Meter>,
+    /// The reference has stood still while it should have moved, and follows.
+    is_late: bool,
     /// Of a cell that is shown as it was before it became another: which one, and its exposure.
     pub(super) stands_for: Option<(CellId, f64)>,
 }
@@ -64,6 +71,17 @@ impl ActiveCell {
         self.begun = before.begun;
         // Eyes stay used to the light.
         self.meter = before.meter.take();
+    }
+
+    /// Moves where rays start: at once, or where it is late by and by.
+    fn follow(&mut self, reference_m: DVec3, passed_s: f64) {
+        self.is_late &= self.reference_m.distance(reference_m) > ARRIVED_M;
+        if self.is_late {
+            let share = 1.0 - (-passed_s / FOLLOW_TIME_S).exp();
+            self.reference_m = self.reference_m.lerp(reference_m, share);
+        } else {
+            self.reference_m = reference_m;
+        }
     }
 
     /// Goes on as what a cell was before it became another one.
@@ -97,6 +115,7 @@ impl SkyRenderer {
             looked_up: Instant::now(),
             ages_written: Instant::now(),
             meter: None,
+            is_late: false,
             stands_for: None,
         }
     }
@@ -171,11 +190,14 @@ impl SkyRenderer {
             .collect();
         for (id, reference_m) in references {
             if self.holds_reference(id, reference_m) {
+                if let Some(cell) = self.active_cells.get_mut(&id) {
+                    cell.is_late = true;
+                }
                 continue;
             }
             match self.active_cells.get_mut(&id) {
                 Some(cell) if cell.reference_m != reference_m => {
-                    cell.reference_m = reference_m;
+                    cell.follow(reference_m, passed_s);
                     cell.coarse.clear();
                     cell.requests_changed = true;
                 }
