@@ -120,6 +120,10 @@ fn describe() {
     describe_counter!("skycell_dispatches_total", "Compute dispatches and draws");
     describe_counter!("skycell_texels_updated_total", "Cache texels marched");
     describe_counter!("skycell_tiles_updated_total", "Cache tiles marched");
+    describe_counter!(
+        "skycell_tiles_resampled_total",
+        "Cache tiles filled from others when a cell got new anchors"
+    );
     describe_counter!("skycell_tiles_evicted_total", "Cache tiles given up");
     describe_counter!(
         "skycell_texels_audited_total",
@@ -180,6 +184,23 @@ fn describe() {
         "skycell_light_shaft_tables_total",
         "Tables of light shafts made"
     );
+    describe_gauge!(
+        "skycell_viewers_in_transition",
+        "Viewers on their way from one view cell to another"
+    );
+    describe_gauge!(
+        "skycell_cells_kept",
+        "View cells without members whose caches are kept for viewers on their way"
+    );
+    describe_gauge!(
+        "skycell_transition_picture_bytes",
+        Unit::Bytes,
+        "GPU memory of the second pictures of viewers on their way"
+    );
+    describe_counter!(
+        "skycell_cell_changes_total",
+        "Changes of view cells by how they were shown: on a way, or at once for want of room or time"
+    );
     describe_gauge!("skycell_scene_revision", "Revision of the rendered scene");
     describe_gauge!("skycell_cell_viewers", "Viewers of a view cell");
     describe_gauge!(
@@ -214,6 +235,7 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
     counter!("skycell_dispatches_total").absolute(totals.dispatches);
     counter!("skycell_texels_updated_total").absolute(totals.texels_updated);
     counter!("skycell_tiles_updated_total").absolute(totals.tiles_updated);
+    counter!("skycell_tiles_resampled_total").absolute(totals.tiles_resampled);
     counter!("skycell_tiles_evicted_total").absolute(totals.tiles_evicted);
     counter!("skycell_texels_audited_total").absolute(totals.texels_audited);
     counter!("skycell_frames_composited_total").absolute(totals.frames_composited);
@@ -221,7 +243,9 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
     counter!("skycell_screen_space_marches_total").absolute(totals.screen_space_marches);
     for (pass, time_ns) in [
         ("cache", totals.gpu_cache_ns),
+        ("resample", totals.gpu_resample_ns),
         ("audit", totals.gpu_audit_ns),
+        ("fade", totals.gpu_fade_ns),
         ("composite", totals.gpu_composite_ns),
         ("screen-space", totals.gpu_screen_space_ns),
         ("sun-volume", totals.gpu_sun_volume_ns),
@@ -258,6 +282,13 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
     gauge!("skycell_light_shaft_bytes").set(totals.light_shaft_bytes as f64);
     counter!("skycell_light_shaft_evaluations_total").absolute(totals.light_shaft_evaluations);
     counter!("skycell_light_shaft_tables_total").absolute(totals.light_shaft_tables);
+    let ways = &stats.transitions;
+    gauge!("skycell_viewers_in_transition").set(ways.viewers as f64);
+    gauge!("skycell_cells_kept").set(ways.cells_kept as f64);
+    gauge!("skycell_transition_picture_bytes").set(ways.picture_bytes as f64);
+    for (shown, changes) in [("way", ways.begun), ("at-once", ways.swapped)] {
+        counter!("skycell_cell_changes_total", "shown" => shown).absolute(changes);
+    }
     gauge!("skycell_scene_revision").set(stats.scene_revision as f64);
     for cell in &stats.cells {
         let labels = [("cell", cell.id.to_string()), ("name", cell.name.clone())];

@@ -415,6 +415,52 @@ gpu_struct! {
 }
 
 gpu_struct! {
+    /// One picture on its way to another.
+    Fade {
+        /// Share of the new one, 0…1.
+        share: f32,
+        /// Pixels along a row.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// Binary logarithm of the side of the squares that are rounded alike, pixels.
+        dither_shift: u32,
+    }
+}
+
+gpu_struct! {
+    /// One tile about a new anchor.
+    ResampleWork {
+        /// Column and row of the tile at its level.
+        tile: [u32; 2],
+        /// Texels along the octahedral square at that level.
+        texels_per_side: f32,
+        /// Place on the working page that is written.
+        place: u32,
+        /// Where the old tiles are found.
+        table: PageTable,
+    }
+}
+
+gpu_struct! {
+    /// A layer's old and new addresses.
+    Resample {
+        /// The new anchor, in the new frame.
+        new_anchor: [f32; 3],
+        /// Radius of the ground, m.
+        planet_radius_m: f32,
+        /// The old anchor, in the old frame.
+        old_anchor: [f32; 3],
+        /// Altitude of the proxy sphere, m.
+        proxy_altitude_m: f32,
+        /// From the old frame's origin to the new one's, x and z, m.
+        moved: [f32; 2],
+        /// Fills to 16 bytes.
+        pad_moved: [f32; 2],
+    }
+}
+
+gpu_struct! {
     /// One tile that takes one more sample.
     TileWork {
         /// Column and row of the tile at its level.

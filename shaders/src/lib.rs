@@ -52,11 +52,15 @@ pub enum Kernel {
     CloudShadows,
     /// The table of light shafts for a place.
     MakeLightShafts,
+    /// One cell's picture on its way to another's.
+    FadePictures,
+    /// Tiles about a new anchor filled from those about the old one.
+    ResampleTiles,
 }
 
 impl Kernel {
     /// Every kernel.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 16] = [
         Self::MarchTexels,
         Self::MarchPixels,
         Self::ResolveWindow,
@@ -71,6 +75,8 @@ impl Kernel {
         Self::MakeAirHaze,
         Self::CloudShadows,
         Self::MakeLightShafts,
+        Self::FadePictures,
+        Self::ResampleTiles,
     ];
 
     /// Name of the entry point.
@@ -91,6 +97,8 @@ impl Kernel {
             Self::MakeAirHaze => "make_air_haze",
             Self::CloudShadows => "cloud_shadows",
             Self::MakeLightShafts => "make_light_shafts",
+            Self::FadePictures => "fade_pictures",
+            Self::ResampleTiles => "resample_tiles",
         }
     }
 
@@ -142,6 +150,14 @@ impl Kernel {
             Self::MakeLightShafts => (
                 "sky/light_shafts.wgsl",
                 include_str!("../wgsl/sky/light_shafts.wgsl"),
+            ),
+            Self::FadePictures => (
+                "composite/fade.wgsl",
+                include_str!("../wgsl/composite/fade.wgsl"),
+            ),
+            Self::ResampleTiles => (
+                "march/resample.wgsl",
+                include_str!("../wgsl/march/resample.wgsl"),
             ),
         }
     }

@@ -116,6 +116,9 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::Reference>(Kernel::MarchTexels);
     check::<layout::PageTable>(Kernel::Composite);
     check::<layout::View>(Kernel::Composite);
+    check::<layout::Fade>(Kernel::FadePictures);
+    check::<layout::ResampleWork>(Kernel::ResampleTiles);
+    check::<layout::Resample>(Kernel::ResampleTiles);
     check::<layout::Air>(Kernel::MakeAirView);
     check::<layout::ShaftFrame>(Kernel::CloudShadows);
     check::<layout::ShadowWork>(Kernel::CloudShadows);

@@ -16,7 +16,7 @@ pub use requests::{
 };
 pub use sphere::{NO_TILE, PageTables, SphereCache, Want};
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use skycell_protocol::CellId;
 use std::collections::BTreeMap;
 
@@ -160,6 +160,66 @@ impl Caches {
             for slot in sphere.clear() {
                 self.pool.release(slot);
             }
+        }
+    }
+
+    /// Takes a cell's spheres out, with their slots, and leaves empty ones that know what time it is.
+    pub fn take_spheres(&mut self, cell: CellId) -> BTreeMap<u32, SphereCache> {
+        let ids: Vec<SphereId> = self.spheres_of(cell).map(|(id, _)| *id).collect();
+        let mut taken = BTreeMap::new();
+        for id in ids {
+            if let Some(sphere) = self.spheres.get_mut(&id) {
+                let fresh = sphere.like();
+                taken.insert(id.layer, std::mem::replace(sphere, fresh));
+            }
+        }
+        taken
+    }
+
+    /// Gives the tiles that a sphere wants slots as far as there are any, to be filled from those of the sphere that was in its
+    /// place; `places` are the tile's in the octahedral square of that one, and `reference` is where rays start. Tiles of which
+    /// the old sphere shows nothing are left out. Returns what is to be filled.
+    pub fn resample(
+        &mut self,
+        id: SphereId,
+        old: &SphereCache,
+        reference: DVec3,
+        places: impl Fn(TileKey) -> Vec<DVec2>,
+    ) -> Vec<(TileKey, Slot)> {
+        let mut filled = Vec::new();
+        let mut evictable = None;
+        let keys = self
+            .spheres
+            .get(&id)
+            .map(SphereCache::wanted_keys)
+            .unwrap_or_default();
+        for key in keys {
+            let sources = old.sources(key, &places(key));
+            if sources.is_empty() {
+                continue;
+            }
+            let Some(slot) = self.pool.allocate().or_else(|| self.evict(&mut evictable)) else {
+                break;
+            };
+            if let Some(sphere) = self.spheres.get_mut(&id) {
+                sphere.insert_resampled(key, slot, old, &sources, reference, self.frame);
+                filled.push((key, slot));
+            }
+        }
+        filled
+    }
+
+    /// Puts a sphere that was taken out in the place of another.
+    pub fn put(&mut self, id: SphereId, sphere: SphereCache) {
+        if let Some(before) = self.spheres.insert(id, sphere) {
+            self.release(before);
+        }
+    }
+
+    /// Gives the slots of a sphere back that was taken out.
+    pub fn release(&mut self, mut sphere: SphereCache) {
+        for slot in sphere.clear() {
+            self.pool.release(slot);
         }
     }
 

@@ -1,5 +1,7 @@
 //! The tiles of one proxy sphere: what its viewers want, what is resident, what an update would gain.
 
+mod resampled;
+
 use super::address::TileKey;
 use super::pool::Slot;
 use super::requests::TileRequest;
@@ -23,6 +25,9 @@ pub(super) const AGE_RESTART: f64 = 5.0;
 /// What is accumulated anew begins with what was there, which counts as so many samples: of N new ones it is a share of
 /// 1/(2 N + 1) at the end, and until then no tile shows the noise of a single sample.
 const OLD_SAMPLES: f32 = 0.5;
+/// What a tile that was filled from others holds counts as so many samples when it is marched: it is blurred a little, and one
+/// sample is noisy.
+const RESAMPLED_SAMPLES: f32 = 2.0;
 /// Least share of a sample that refreshes an aged but converged tile.
 const REFRESH_WEIGHT: f32 = 0.25;
 /// A tile is mixed towards the present sky when it is this many unseen steps behind a sky that moves, ...
@@ -65,6 +70,8 @@ pub(super) struct Tile {
     left: f64,
     /// How far the mixture was behind its last sample's reference and noise, m.
     left_m: f64,
+    /// Filled from other tiles, and not marched since.
+    resampled: bool,
 }
 
 impl Tile {
@@ -323,7 +330,7 @@ impl SphereCache {
                     return missing;
                 };
                 let behind = tile.behind(self.moved) > behind_max(true, want);
-                if missing == 0 && self.is_aged_at_rest(tile, want) {
+                if missing == 0 && (tile.resampled || self.is_aged_at_rest(tile, want)) {
                     return u64::from(want.samples(samples));
                 }
                 missing.max(u64::from(behind))
@@ -387,7 +394,7 @@ impl SphereCache {
                 Some(_) if have == 0 && coarse => Urgency::Coarse,
                 Some(_) if have == 0 => Urgency::Stale,
                 Some(_) if have < samples => Urgency::Unfinished,
-                Some(tile) if tile.refreshes != self.refreshes => Urgency::Aged,
+                Some(tile) if tile.resampled || tile.refreshes != self.refreshes => Urgency::Aged,
                 Some(_) if age > age_max => Urgency::Aged,
                 Some(_) if behind > behind_max(is_calm, want) => Urgency::Aged,
                 Some(_) => continue,
@@ -421,6 +428,7 @@ impl SphereCache {
                 moved: self.moved,
                 left: 0.0,
                 left_m: 0.0,
+                resampled: false,
             },
         );
     }
@@ -446,7 +454,11 @@ impl SphereCache {
         } else if !self.drifts && age > AGE_REST && tile.samples >= owed {
             tile.samples = 0;
             tile.old_samples = OLD_SAMPLES;
+        } else if tile.resampled && tile.samples >= owed {
+            tile.samples = 0;
+            tile.old_samples = RESAMPLED_SAMPLES;
         }
+        tile.resampled = false;
         let weight = if tile.samples < samples {
             1.0 / ((tile.samples + 1) as f32 + tile.old_samples)
         } else {

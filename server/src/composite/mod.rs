@@ -1,7 +1,9 @@
 //! The pass that makes one viewer's picture: intersect, read, colour, blend back to front, tone map, dither.
 
+mod fade;
 mod inspect;
 
+pub use fade::{PictureFade, fade_key};
 pub use inspect::{InspectionInputs, Inspections, inspect_key, shown_key, shown_of};
 
 use crate::cache::ViewFrustum;

@@ -29,11 +29,15 @@ const AGES_INTERVAL: Duration = Duration::from_millis(500);
 const PARALLAX_PIXELS: f64 = 1.0;
 /// Layers are not looked at from nearer, m.
 const LAYER_NEAREST_M: f64 = 10.0;
+/// A reference that is late goes 63 % of its way in this time, s, ...
+const FOLLOW_TIME_S: f64 = 2.0;
+/// ... until it is so near, m.
+const ARRIVED_M: f64 = 20.0;
 
 /// Where a layer's addresses are centred: follows the layer's wind.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Anchor {
-    at_start_m: DVec3,
+    pub(super) at_start_m: DVec3,
     drift_at_start_m: DVec3,
 }
 
@@ -41,7 +45,7 @@ pub(super) struct Anchor {
 pub(super) struct ActiveCell {
     pub(super) frame: CellFrame,
     pub(super) reference_m: DVec3,
-    anchors: Vec<Anchor>,
+    pub(super) anchors: Vec<Anchor>,
     coarse: Vec<Vec<TileRequest>>,
     pub(super) buffers: CellBuffers,
     /// How its rays are marched.
@@ -58,6 +62,45 @@ pub(super) struct ActiveCell {
     ages_written: Instant,
     /// Measures the light of the sky, where exposure follows it.
     pub(super) meter: Option<Meter>,
+    /// The reference has stood still while it should have moved, and follows.
+    is_late: bool,
+    /// Of a cell that is shown as it was before it became another: which one, and its exposure.
+    pub(super) stands_for: Option<(CellId, f64)>,
+}
+
+impl ActiveCell {
+    /// Goes on as another one did, but for where its texels are.
+    pub(super) fn take_over(&mut self, before: &mut Self) {
+        self.settings = before.settings;
+        self.samples = before.samples;
+        self.begun = before.begun;
+        // Eyes stay used to the light.
+        self.meter = before.meter.take();
+    }
+
+    /// Anchor of a layer in the frame that drifts with it, where it stays.
+    pub(super) fn drifting_anchor(&self, layer: usize) -> Option<DVec3> {
+        let anchor = self.anchors.get(layer)?;
+        Some(anchor.at_start_m - anchor.drift_at_start_m.with_y(0.0))
+    }
+
+    /// Moves where rays start: at once, or where it is late by and by.
+    fn follow(&mut self, reference_m: DVec3, passed_s: f64) {
+        self.is_late &= self.reference_m.distance(reference_m) > ARRIVED_M;
+        if self.is_late {
+            let share = 1.0 - (-passed_s / FOLLOW_TIME_S).exp();
+            self.reference_m = self.reference_m.lerp(reference_m, share);
+        } else {
+            self.reference_m = reference_m;
+        }
+    }
+
+    /// Goes on as what a cell was before it became another one.
+    pub(super) fn stand_for(&mut self, id: CellId, exposure_ev: f64) {
+        self.meter = None;
+        self.stands_for = Some((id, exposure_ev));
+        self.requests_changed = true;
+    }
 }
 
 /// Most places at which a viewer of a cell looks for what texels show: none where what it sees would not be told apart from
@@ -108,6 +151,8 @@ impl SkyRenderer {
             looked_up: Instant::now(),
             ages_written: Instant::now(),
             meter: None,
+            is_late: false,
+            stands_for: None,
         }
     }
 
@@ -123,8 +168,8 @@ impl SkyRenderer {
             self.active_cells.insert(id, fresh);
         }
         // What they ask for is told by places about the old anchor.
-        for viewer in self.viewers.values_mut().filter(|v| v.cell == id) {
-            viewer.requests.clear();
+        for viewer in self.viewers.values_mut().filter(|v| v.needs(id)) {
+            viewer.forget_requests();
         }
     }
 
@@ -169,11 +214,7 @@ impl SkyRenderer {
     pub(super) fn regroup(&mut self, passed_s: f64) -> Vec<ViewerId> {
         let changes = self.cells.regroup(passed_s);
         for change in &changes {
-            if let Some(viewer) = self.viewers.get_mut(&change.viewer) {
-                viewer.cell = change.to;
-                viewer.requests.clear();
-                viewer.screen_space = None;
-            }
+            self.follow_cell(change.viewer);
             self.change_requests(change.from);
             self.change_requests(change.to);
         }
@@ -184,9 +225,15 @@ impl SkyRenderer {
             .map(|(id, cell)| (id, cell.reference_m))
             .collect();
         for (id, reference_m) in references {
+            if self.holds_reference(id, reference_m) {
+                if let Some(cell) = self.active_cells.get_mut(&id) {
+                    cell.is_late = true;
+                }
+                continue;
+            }
             match self.active_cells.get_mut(&id) {
                 Some(cell) if cell.reference_m != reference_m => {
-                    cell.reference_m = reference_m;
+                    cell.follow(reference_m, passed_s);
                     cell.coarse.clear();
                     cell.requests_changed = true;
                 }
@@ -208,9 +255,9 @@ impl SkyRenderer {
             .active_cells
             .keys()
             .filter(|id| {
-                self.cells
-                    .get(**id)
-                    .is_none_or(|cell| cell.members.is_empty())
+                let cell = self.cells.get(**id);
+                cell.is_none_or(|cell| cell.members.is_empty())
+                    && !self.viewers.values().any(|viewer| viewer.needs(**id))
             })
             .copied()
             .collect();
@@ -244,19 +291,22 @@ impl SkyRenderer {
     /// Anchor of a sphere in the frame that drifts with its layer, where it stays.
     pub(super) fn drifting_anchor(&self, sphere: SphereId) -> Option<DVec3> {
         let cell = self.active_cells.get(&sphere.cell)?;
-        let anchor = cell.anchors.get(sphere.layer as usize)?;
-        Some(anchor.at_start_m - anchor.drift_at_start_m.with_y(0.0))
+        cell.drifting_anchor(sphere.layer as usize)
     }
 
     /// Brings everything that the caches and the device know of cells up to the present: anchors that have drifted,
     /// requests of viewers that have turned, new page tables.
     pub(super) fn refresh_cells(&mut self) {
-        let ids: Vec<CellId> = self.active_cells.keys().copied().collect();
+        let ids =
+            |renderer: &Self| -> Vec<CellId> { renderer.active_cells.keys().copied().collect() };
         let windy = self.wind_speed_max_m_per_s() > 0.0;
-        for id in ids {
+        for id in ids(self) {
             if self.anchors_are_far(id) {
-                self.restart_cell(id);
+                self.reanchor_cell(id);
             }
+        }
+        // Among them what is still shown of those that have new anchors.
+        for id in ids(self) {
             let Some(mut cell) = self.active_cells.remove(&id) else {
                 continue;
             };
@@ -271,7 +321,15 @@ impl SkyRenderer {
             return false;
         };
         let reference = cell.frame.from_world(cell.reference_m);
-        let mut in_cell = self.viewers.values().filter(|viewer| viewer.cell == id);
+        let mut in_cell = self
+            .viewers
+            .values()
+            .filter(|viewer| viewer.cell == id)
+            .peekable();
+        // What is kept for those who leave it stays as they see it.
+        if in_cell.peek().is_none() {
+            return false;
+        }
         // Those with rays of their own have windows that a new frame of the cell would end.
         let is_read = in_cell.any(ActiveViewer::reads_cache);
         self.active.iter().enumerate().any(|(place, layer)| {
@@ -322,15 +380,21 @@ impl SkyRenderer {
             if moved {
                 cell.coarse = spheres.iter().map(|s| coarse_tiles(s, eye)).collect();
             }
-            for viewer in self.viewers.values_mut().filter(|v| v.cell == id) {
-                if !viewer.reads_cache() {
+            let mut read: Vec<&[Vec<TileRequest>]> = Vec::new();
+            for viewer in self.viewers.values_mut() {
+                let (camera, size) = (viewer.view.camera, viewer.view.size);
+                let mip_bias = viewer.quality.settings.mip_bias;
+                let steps = parallax_steps(&self.scene, &self.active, viewer, cell.reference_m);
+                // Who has jumped is shown what is there until the new cell has more.
+                let has_jumped = viewer.has_jumped_from(id);
+                let Some(requests) = viewer.requests_in(id) else {
                     continue;
-                }
-                if moved || viewer.requests.len() != spheres.len() {
-                    let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
-                    let mip_bias = viewer.quality.settings.mip_bias;
-                    let steps = parallax_steps(&self.scene, &self.active, viewer, cell.reference_m);
-                    viewer.requests = spheres
+                };
+                if has_jumped {
+                    *requests = vec![Vec::new(); spheres.len()];
+                } else if moved || requests.len() != spheres.len() {
+                    let frustum = view_frustum(&camera, size, &cell.frame);
+                    *requests = spheres
                         .iter()
                         .zip(&self.active)
                         .map(|(sphere, layer)| {
@@ -344,18 +408,12 @@ impl SkyRenderer {
                         })
                         .collect();
                 }
+                read.push(requests);
             }
-            let cached_viewers = || {
-                self.viewers
-                    .values()
-                    .filter(move |v| v.cell == id && v.reads_cache())
-            };
             // Nobody who reads the cache: nobody who needs its coarse level.
-            let used = cached_viewers().next().is_some();
+            let used = !read.is_empty();
             for (layer, coarse) in cell.coarse.iter().enumerate() {
-                let requests = cached_viewers()
-                    .filter_map(|v| v.requests.get(layer))
-                    .flatten();
+                let requests = read.iter().filter_map(|r| r.get(layer)).flatten();
                 let sphere = self.caches.sphere_mut(SphereId {
                     cell: id,
                     layer: layer as u32,
@@ -403,13 +461,13 @@ impl SkyRenderer {
             .map_or(Duration::ZERO, |cell| cell.begun.elapsed())
     }
 
-    /// Whether the coarse level of a viewer's cell shows the present sky.
-    pub(super) fn coarse_is_ready(&self, viewer: &ActiveViewer) -> bool {
-        self.active_cells.get(&viewer.cell).is_some_and(|cell| {
+    /// Whether the coarse level of a cell shows the present sky.
+    pub(super) fn coarse_is_ready(&self, id: CellId) -> bool {
+        self.active_cells.get(&id).is_some_and(|cell| {
             cell.coarse.len() == self.active.len()
                 && cell.coarse.iter().enumerate().all(|(layer, tiles)| {
                     let id = SphereId {
-                        cell: viewer.cell,
+                        cell: id,
                         layer: layer as u32,
                     };
                     self.caches
@@ -419,11 +477,11 @@ impl SkyRenderer {
         })
     }
 
-    /// Whether some tile that a viewer asks for does not show the present sky yet.
-    pub(super) fn is_coarse(&self, viewer: &ActiveViewer) -> bool {
-        viewer.requests.iter().enumerate().any(|(layer, tiles)| {
+    /// Whether some tile that is asked for of a cell does not show the present sky yet.
+    pub(super) fn is_coarse(&self, cell: CellId, requests: &[Vec<TileRequest>]) -> bool {
+        requests.iter().enumerate().any(|(layer, tiles)| {
             let id = SphereId {
-                cell: viewer.cell,
+                cell,
                 layer: layer as u32,
             };
             self.caches

@@ -263,6 +263,8 @@ pub struct RenderStats {
     pub audit: AuditStats,
     /// What is picked for viewers who ask for no quality.
     pub quality: QualityStats,
+    /// Viewers on their way from one view cell to another.
+    pub transitions: TransitionStats,
     /// The view cells that exist.
     pub cells: Vec<CellStats>,
     /// The viewers that the loop knows.
@@ -314,6 +316,8 @@ pub struct RenderTotals {
     pub texels_updated: u64,
     /// Cache tiles marched.
     pub tiles_updated: u64,
+    /// Cache tiles filled from others when a cell got new anchors.
+    pub tiles_resampled: u64,
     /// Cache tiles given up.
     pub tiles_evicted: u64,
     /// Cache texels marched again to see how wrong the cache is.
@@ -324,6 +328,10 @@ pub struct RenderTotals {
     pub frames_read_back: u64,
     /// GPU time of cache updates.
     pub gpu_cache_ns: u64,
+    /// GPU time of the passes that fill tiles from others.
+    pub gpu_resample_ns: u64,
+    /// GPU time of mixes of two view cells' pictures.
+    pub gpu_fade_ns: u64,
     /// GPU time of audits.
     pub gpu_audit_ns: u64,
     /// GPU time of composites.
@@ -350,6 +358,24 @@ pub struct RenderTotals {
     pub light_shaft_bytes: u64,
     /// GPU time of light shafts.
     pub gpu_light_shaft_ns: u64,
+}
+
+/// Viewers on their way from one view cell to another, or from a cell's old anchors to its new ones, and what that takes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct TransitionStats {
+    /// Viewers on their way now.
+    pub viewers: u64,
+    /// Those of them whose frames are a mix of both cells' pictures; the others are shown the old one.
+    pub fading: u64,
+    /// Cells without members whose caches are kept for them.
+    pub cells_kept: u64,
+    /// GPU memory of their second pictures.
+    pub picture_bytes: u64,
+    /// Changes of cells that were shown by such a way, since the start.
+    pub begun: u64,
+    /// Changes of cells that were shown at once, because there was no room for both cells or the new one was not there in
+    /// time, since the start.
+    pub swapped: u64,
 }
 
 /// A view cell.
@@ -396,6 +422,8 @@ pub struct ViewerRenderStats {
     pub id: ViewerId,
     /// The view cell that it belongs to.
     pub cell: CellId,
+    /// The one that it leaves, while it is on its way from there: the same one where that has got new anchors.
+    pub leaves: Option<CellId>,
     /// Texels that it requests.
     pub texels_requested: u64,
     /// Frames composited for it.

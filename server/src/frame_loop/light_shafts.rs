@@ -241,8 +241,12 @@ impl SkyRenderer {
             self.shafts.clear();
             return progress;
         };
+        let own = self
+            .active_cells
+            .iter()
+            .filter(|(_, cell)| cell.stands_for.is_none());
         let cells = chosen(
-            self.active_cells.keys().copied(),
+            own.map(|(id, _)| *id),
             |id| self.shafts.held.contains_key(&id),
             self.shafts.last,
         );

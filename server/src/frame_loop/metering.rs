@@ -175,7 +175,11 @@ impl SkyRenderer {
             return Vec::new();
         };
         let windy = self.wind_speed_max_m_per_s() > 0.0;
-        let ids: Vec<CellId> = self.active_cells.keys().copied().collect();
+        let metered = self
+            .active_cells
+            .iter()
+            .filter(|(_, cell)| cell.stands_for.is_none());
+        let ids: Vec<CellId> = metered.map(|(id, _)| *id).collect();
         let mut changed = Vec::new();
         for id in ids {
             let reads_cache = self
@@ -295,9 +299,11 @@ impl SkyRenderer {
 impl ActiveCell {
     /// Exposure by the light of the sky, stops.
     pub(super) fn auto_exposure_ev(&self) -> f64 {
-        self.meter
-            .as_ref()
-            .map_or(0.0, |meter| meter.adaptation.ev())
+        match (&self.meter, self.stands_for) {
+            (_, Some((_, exposure_ev))) => exposure_ev,
+            (Some(meter), None) => meter.adaptation.ev(),
+            (None, None) => 0.0,
+        }
     }
 }
 

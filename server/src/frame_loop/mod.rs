@@ -4,12 +4,15 @@
 mod auditing;
 mod awaited_scene;
 mod cells_on_device;
+#[cfg(test)]
+mod driven;
 pub mod interface;
 mod light_shafts;
 mod metering;
 mod pacing;
 mod passes;
 mod qualities;
+mod reanchoring;
 mod renderer;
 mod screen_space;
 mod sky_steps;
@@ -19,6 +22,7 @@ mod stats;
 mod still;
 mod still_settings;
 mod sun_volumes;
+mod transitions;
 mod viewers_on_device;
 mod views;
 

@@ -6,6 +6,7 @@ use super::interface::{
 };
 use super::renderer::SkyRenderer;
 use super::screen_space::WindowChoice;
+use super::viewers_on_device::ActiveViewer;
 use crate::clock;
 use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{BlendStep, Gpu, GpuError, TimedPass};
@@ -270,11 +271,17 @@ impl FrameLoop {
         let arrived = self.renderer.finish_approaches(now);
         for (id, pace) in &mut self.paces {
             let viewer = self.renderer.viewers.get(id);
-            if arrived.contains(id) || viewer.is_some_and(|v| cells.contains(&v.cell)) {
+            let is_shown = |v: &ActiveViewer| cells.iter().any(|cell| v.looks_at(*cell));
+            if arrived.contains(id) || viewer.is_some_and(is_shown) {
                 pace.change = Change::Seen;
             }
         }
         for viewer in self.renderer.regroup(passed.as_secs_f64()) {
+            if let Some(pace) = self.paces.get_mut(&viewer) {
+                pace.change = Change::Seen;
+            }
+        }
+        for viewer in self.renderer.pass_transitions(passed.as_secs_f64()) {
             if let Some(pace) = self.paces.get_mut(&viewer) {
                 pace.change = Change::Seen;
             }
@@ -401,8 +408,9 @@ impl FrameLoop {
                     viewer.kind == RendererKind::Cached
                         && viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX
                         && self.due_at(pace).is_some_and(|due| due <= now)
-                        && (self.renderer.cell_age(viewer) > COARSE_WAIT
-                            || self.renderer.coarse_is_ready(viewer))
+                        && (viewer.transition.is_some()
+                            || self.renderer.cell_age(viewer) > COARSE_WAIT
+                            || self.renderer.coarse_is_ready(viewer.cell))
                 })
             })
             .map(|(id, _)| *id)
@@ -445,7 +453,12 @@ impl FrameLoop {
                 now + interval
             };
             pace.composited = Some(now);
-            pace.change = Change::None;
+            // Two cells that are mixed are another picture in every frame.
+            pace.change = if viewer.fades() {
+                Change::Seen
+            } else {
+                Change::None
+            };
         }
     }
 
@@ -485,7 +498,7 @@ impl FrameLoop {
                     .renderer
                     .viewers
                     .get(id)
-                    .is_some_and(|viewer| viewer.cell == update.sphere.cell);
+                    .is_some_and(|viewer| viewer.looks_at(update.sphere.cell));
                 if here {
                     pace.change = pace.change.max(Change::Sharper);
                 }
@@ -516,7 +529,8 @@ impl FrameLoop {
         self.march_credit_s -= self.renderer.shafts_time_s(progress.evaluations);
         for (id, pace) in &mut self.paces {
             let viewer = self.renderer.viewers.get(id);
-            if viewer.is_some_and(|viewer| progress.changed.contains(&viewer.cell)) {
+            let is_shown = |v: &ActiveViewer| progress.changed.iter().any(|c| v.looks_at(*c));
+            if viewer.is_some_and(is_shown) {
                 pace.change = Change::Seen;
             }
         }
@@ -556,9 +570,11 @@ impl FrameLoop {
         let changing = self.renderer.sky_is_changing();
         self.paces
             .iter()
-            .filter(|(_, pace)| changing || now.duration_since(pace.moved) < MOVING_FOR)
-            .filter_map(|(id, _)| self.renderer.viewers.get(id))
-            .map(|viewer| viewer.view.fps)
+            .filter_map(|(id, pace)| Some((self.renderer.viewers.get(id)?, pace)))
+            .filter(|(viewer, pace)| {
+                changing || viewer.fades() || now.duration_since(pace.moved) < MOVING_FOR
+            })
+            .map(|(viewer, _)| viewer.view.fps)
             .fold(0.0, f64::max)
     }
 

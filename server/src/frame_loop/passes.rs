@@ -2,10 +2,11 @@
 
 use super::interface::{FinishedFrame, FrameSink};
 use super::renderer::{SkyRenderer, frame_key};
+use super::transitions::Stage;
 use super::viewers_on_device::ActiveViewer;
-use crate::cache::{SphereId, TileUpdate};
+use crate::cache::{SphereId, TileRequest, TileUpdate};
 use crate::clock::unix_now_us;
-use crate::composite::{CompositeInputs, Picture, shown_key};
+use crate::composite::{CompositeInputs, Picture, PictureFade, dither_shift, shown_key};
 use crate::gpu::{GpuError, PipelineKey, TimedPass};
 use crate::march::{
     ActiveLayer, BATCH_TILES_MAX, LayerBlend, MarchedPixels, PixelStrip, TexelGroup, layer_features,
@@ -186,10 +187,11 @@ impl SkyRenderer {
         let mut shown_cells = Vec::new();
         let mut done = Vec::new();
         for (id, buffer) in under_way {
-            let coarse = self.viewers.get(&id).is_some_and(|v| self.is_coarse(v));
+            let coarse = self.viewers.get(&id).is_some_and(|v| self.shows_coarse(v));
             let Some(viewer) = self.viewers.get_mut(&id) else {
                 continue;
             };
+            viewer.shown_camera = viewer.view.camera;
             viewer.sequence = viewer.sequence.wrapping_add(1);
             viewer.frames_composited += 1;
             self.counters.frames_composited += 1;
@@ -215,8 +217,11 @@ impl SkyRenderer {
                     pixels: Box::new(pixels),
                 });
             });
-            if !shown_cells.contains(&cell) {
-                shown_cells.push(cell);
+            let leaves = viewer.transition.as_ref().map(|t| t.from);
+            for cell in [Some(cell), leaves].into_iter().flatten() {
+                if !shown_cells.contains(&cell) {
+                    shown_cells.push(cell);
+                }
             }
             done.push(id);
         }
@@ -226,21 +231,70 @@ impl SkyRenderer {
         done
     }
 
+    /// Whether some tile of what a viewer is shown does not show the present sky yet.
+    fn shows_coarse(&self, viewer: &ActiveViewer) -> bool {
+        let is_coarse = |cell, requests: &[Vec<TileRequest>]| {
+            viewer.looks_at(cell) && self.is_coarse(cell, requests)
+        };
+        is_coarse(viewer.cell, &viewer.requests)
+            || viewer
+                .transition
+                .as_ref()
+                .is_some_and(|left| is_coarse(left.from, &left.requests))
+    }
+
+    /// Records a viewer's picture: that of its cell, that of the cell which it leaves, or a mix.
     fn record_frame(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         viewer: &ActiveViewer,
         target: &wgpu::Buffer,
     ) -> Option<()> {
-        let view = self.view_of(viewer)?;
         let (shown, _) = self.shown_to(viewer);
-        let shafts = self.shaft_reader(viewer.cell);
+        // What says something of the field or the cache itself has no way between two cells.
+        let left = viewer
+            .transition
+            .as_ref()
+            .filter(|_| !shown.is_inspection() && !shown.is_of_cache());
+        let old = left.and_then(|left| {
+            let picture = left.fade.as_ref().map_or(&viewer.picture, PictureFade::old);
+            let (cell, requests) = (left.from, left.requests.as_slice());
+            self.record_picture(encoder, viewer, (cell, requests), picture, shown)
+        });
+        let waits = left.is_some_and(|left| left.way.stage() == Stage::Waits);
+        if old.is_none() || !waits {
+            let cell = (viewer.cell, viewer.requests.as_slice());
+            self.record_picture(encoder, viewer, cell, &viewer.picture, shown)?;
+        }
+        if let (Some(()), Some(left)) = (old, left)
+            && let Some(fade) = &left.fade
+        {
+            let (gpu, pipelines) = (&self.gpu, &self.pipelines);
+            let (share, shift) = (left.way.share(), dither_shift(viewer.view.codec));
+            fade.record(gpu, encoder, &mut self.timing, pipelines, share, shift);
+            self.counters.dispatches += 1;
+        }
+        encoder.copy_buffer_to_buffer(viewer.picture.pixels(), 0, target, 0, target.size());
+        Some(())
+    }
+
+    /// Records what a viewer sees with the cache of a cell, of which it requests something, or with rays of its own.
+    fn record_picture(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        viewer: &ActiveViewer,
+        (id, requests): (CellId, &[Vec<TileRequest>]),
+        picture: &Picture,
+        shown: Shown,
+    ) -> Option<()> {
+        let view = self.view_in(viewer, id, requests)?;
+        let shafts = self.shaft_reader(self.cell_shown_by(id));
         let screen_space = viewer.kind == RendererKind::ScreenSpace;
         let filter = viewer.quality.settings.frame_filter;
         let blend = LayerBlend::of(&self.scene, &self.active);
         let plain = frame_key(&self.gpu, &self.scene, filter, blend, screen_space);
-        let plain = self.key_for(viewer, plain);
-        let cell = self.active_cells.get_mut(&viewer.cell)?;
+        let plain = self.key_for(viewer, id, plain);
+        let cell = self.active_cells.get_mut(&id)?;
         let (layers, view) = match (screen_space, &viewer.screen_space) {
             (true, Some(job)) => (job.marched().read_group().clone(), job.view()),
             (true, None) => return None,
@@ -271,9 +325,9 @@ impl SkyRenderer {
             ground_radius_m: ground_radius_m(&self.scene, &self.active, &view),
         };
         if shown.is_inspection() {
-            self.record_inspection(encoder, &viewer.picture, &inputs, &field, shown);
+            self.record_inspection(encoder, picture, &inputs, &field, shown);
         } else {
-            viewer.picture.record(
+            picture.record(
                 &self.gpu,
                 encoder,
                 &mut self.timing,
@@ -282,7 +336,6 @@ impl SkyRenderer {
             );
         }
         self.counters.dispatches += 1;
-        encoder.copy_buffer_to_buffer(viewer.picture.pixels(), 0, target, 0, target.size());
         Some(())
     }
 

@@ -245,14 +245,13 @@ impl SkyRenderer {
             return;
         };
         let quality = self.quality_of(&viewer.view, Some(&viewer.quality));
-        let cell = viewer.cell;
         if let Some(viewer) = self.viewers.get_mut(&id) {
             if viewer.quality.settings != quality.settings {
-                viewer.requests.clear();
+                viewer.forget_requests();
             }
             viewer.quality = quality;
         }
-        self.change_requests(cell);
+        self.change_requests_of(id);
     }
 
     /// Gives a cell the finest march that its viewers and the scene ask for. A finer one ages what was marched; what is

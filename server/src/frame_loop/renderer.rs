@@ -11,13 +11,15 @@ use super::screen_space::WindowChoice;
 use super::sky_steps::steps_between;
 use super::sky_time::SkyTime;
 use super::sun_volumes::{SunVolumes, asks_for_volume};
+use super::transitions::TransitionCounters;
 use super::viewers_on_device::ActiveViewer;
 use crate::atmosphere::{AirKeeper, AirViews, cloud_shadows_key, make_shafts_key, table_keys};
 use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
 use crate::cells::{CellLimit, Cells};
 use crate::clock;
 use crate::composite::{
-    Inspections, Picture, composite_key, ground_key, with_parallax, with_shared_background,
+    Inspections, Picture, PictureFade, composite_key, fade_key, ground_key, with_parallax,
+    with_shared_background,
 };
 use crate::config::{FrameFilter, PlacedCell, RenderConfig};
 use crate::field::FieldStore;
@@ -28,11 +30,11 @@ use crate::gpu::{
 use crate::march::{
     ActiveLayer, Atlas, LayerBlend, MarchSettings, SkyLight, TexelMarch, WINDOW_FRAMES_MAX,
     active_layers, audit_key, drift_m_per_s, layer_features, pixels_key, placed_sheets,
-    placed_weather, possible_frames, resolve_key, sky_light, sun_angular_radius_rad,
+    placed_weather, possible_frames, resample_key, resolve_key, sky_light, sun_angular_radius_rad,
     sun_columns_key, texels_key, window_key,
 };
 use glam::DVec3;
-use skycell_protocol::{Camera, CellId, RendererKind, Scene, ViewerId};
+use skycell_protocol::{Camera, CellId, FrameSize, RendererKind, Scene, ViewerId};
 use skycell_shaders::Features;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -53,9 +55,11 @@ pub(super) struct Counters {
     pub(super) submissions: u64,
     pub(super) dispatches: u64,
     pub(super) tiles_updated: u64,
+    pub(super) tiles_resampled: u64,
     pub(super) texels_audited: u64,
     pub(super) frames_composited: u64,
     pub(super) screen_space_marches: u64,
+    pub(super) transitions: TransitionCounters,
     pub(super) frames_read_back: Arc<AtomicU64>,
 }
 
@@ -233,6 +237,7 @@ impl SkyRenderer {
         if moved {
             self.ideal_active.clone_from(&active);
             self.active = active;
+            self.end_transitions();
             let ids: Vec<CellId> = self.active_cells.keys().copied().collect();
             for id in ids {
                 self.restart_cell(id);
@@ -294,6 +299,9 @@ impl SkyRenderer {
         }
         if scene.physical_air().is_some() {
             keys.extend(table_keys());
+        }
+        if !active.is_empty() {
+            keys.extend([fade_key(), resample_key()]);
         }
         let has_shafts = scene.light_shafts() && !active.is_empty();
         if has_shafts {
@@ -358,8 +366,7 @@ impl SkyRenderer {
     pub(super) fn warm_up(&mut self) -> Result<(), GpuError> {
         use skycell_protocol::Codec;
         let viewer = ViewerId(u32::MAX);
-        let size = skycell_protocol::FrameSize::new(8, 8)
-            .map_err(|error| GpuError::Device(error.to_string()))?;
+        let size = FrameSize::new(8, 8).map_err(|error| GpuError::Device(error.to_string()))?;
         for renderer in [RendererKind::Cached, RendererKind::ScreenSpace] {
             let camera = Camera::default();
             self.join(
@@ -380,6 +387,7 @@ impl SkyRenderer {
             while self.update_light_shafts(usize::MAX >> 32).is_pending {}
             for update in self.march(1) {
                 self.warm_up_audit(&update);
+                self.warm_up_resample(&update);
             }
             if renderer == RendererKind::ScreenSpace {
                 self.march_screen_space(viewer, 1);
@@ -395,6 +403,7 @@ impl SkyRenderer {
                     self.composite_still(viewer, &picture, with_parallax(key), None)?;
                 }
             }
+            self.warm_up_fade(size);
             self.leave(viewer);
         }
         self.gpu.wait()?;
@@ -402,6 +411,24 @@ impl SkyRenderer {
         self.counters = Counters::default();
         self.timing = TimingRing::new(&self.gpu);
         Ok(())
+    }
+
+    /// Mixes two empty pictures.
+    fn warm_up_fade(&mut self, size: FrameSize) {
+        let picture = Picture::new(&self.gpu, &self.pipelines, size, false);
+        let fade = PictureFade::new(&self.gpu, &self.pipelines, &picture);
+        self.timing.begin();
+        let mut encoder = self
+            .gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
+                label: Some("fade"),
+            });
+        let (gpu, pipelines) = (&self.gpu, &self.pipelines);
+        fade.record(gpu, &mut encoder, &mut self.timing, pipelines, 0.5, 0);
+        self.timing.resolve(&mut encoder);
+        self.submit(encoder);
+        self.timing.submitted();
     }
 
     /// Puts clouds where a scene of a moment says that they are.

@@ -340,7 +340,7 @@ impl SkyRenderer {
             }
         }
         for viewer in self.viewers.values_mut() {
-            viewer.requests.clear();
+            viewer.forget_requests();
             viewer.screen_space = None;
         }
     }

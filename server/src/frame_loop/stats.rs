@@ -34,11 +34,14 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             dispatches: counters.dispatches,
             texels_updated: counters.tiles_updated * TEXELS_PER_TILE,
             tiles_updated: counters.tiles_updated,
+            tiles_resampled: counters.tiles_resampled,
             tiles_evicted: renderer.caches.evicted(),
             texels_audited: counters.texels_audited,
             frames_composited: counters.frames_composited,
             frames_read_back: renderer.frames_read_back(),
             gpu_cache_ns: renderer.gpu_time(TimedPass::Cache).0,
+            gpu_resample_ns: renderer.gpu_time(TimedPass::Resample).0,
+            gpu_fade_ns: renderer.gpu_time(TimedPass::Fade).0,
             gpu_audit_ns: renderer.gpu_time(TimedPass::Audit).0,
             gpu_composite_ns: renderer.gpu_time(TimedPass::Composite).0,
             gpu_screen_space_ns: renderer.gpu_time(TimedPass::ScreenSpace).0,
@@ -60,6 +63,7 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             ..renderer.audit.stats(Instant::now())
         },
         quality: renderer.scene_quality_stats(),
+        transitions: renderer.transition_stats(),
         cells: renderer
             .cells
             .iter()
@@ -71,6 +75,10 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             .map(|(id, viewer)| ViewerRenderStats {
                 id: *id,
                 cell: viewer.cell,
+                leaves: viewer
+                    .transition
+                    .as_ref()
+                    .map(|t| renderer.cell_shown_by(t.from)),
                 texels_requested: viewer.texels_requested(),
                 frames_composited: viewer.frames_composited,
                 frames_in_flight: viewer.frames_in_flight(),

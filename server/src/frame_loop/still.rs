@@ -334,7 +334,7 @@ impl StillRenderer {
                 screen_space,
                 linear,
             );
-            let key = viewer.map_or(key, |viewer| renderer.key_for(viewer, key));
+            let key = viewer.map_or(key, |viewer| renderer.key_for(viewer, viewer.cell, key));
             PipelineKey {
                 features: Features {
                     ray_list,

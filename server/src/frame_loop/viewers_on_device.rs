@@ -5,6 +5,7 @@ use super::interface::ViewRequest;
 use super::qualities::ViewerQuality;
 use super::renderer::SkyRenderer;
 use super::screen_space::ScreenSpaceJob;
+use super::transitions::Transition;
 use crate::cache::{TEXELS_PER_TILE, TileRequest};
 use crate::composite::{Picture, dither_shift, view_frustum, view_uniform};
 use crate::gpu::ReadbackRing;
@@ -26,7 +27,12 @@ const APPROACH_MAX: Duration = Duration::from_secs(3);
 pub(super) struct ActiveViewer {
     pub(super) view: ViewRequest,
     pub(super) input: InputSequence,
+    /// The cell that it is in or on its way to.
     pub(super) cell: CellId,
+    /// Its way there from another one.
+    pub(super) transition: Option<Transition>,
+    /// The camera of its last frame.
+    pub(super) shown_camera: Camera,
     /// Which renderer makes its frames: the one that it asks for, or rays of its own where the cache does not reach.
     pub(super) kind: RendererKind,
     /// Since when the cache is being made for it, while rays of its own still make its frames.
@@ -81,9 +87,11 @@ impl SkyRenderer {
             kind: self.kind_of(&view, None),
             approaches: None,
             quality: self.quality_of(&view, None),
+            shown_camera: view.camera,
             view,
             input: InputSequence(0),
             cell,
+            transition: None,
             requests: Vec::new(),
             picture: Picture::new(&self.gpu, &self.pipelines, view.size, false),
             ring: ReadbackRing::new(bytes, READBACKS_PER_VIEWER),
@@ -133,7 +141,7 @@ impl SkyRenderer {
             (RendererKind::Cached, RendererKind::ScreenSpace) => {
                 viewer.kind = kind;
                 viewer.screen_space = None;
-                viewer.requests.clear();
+                viewer.forget_requests();
                 viewer.approaches = None;
             }
             _ => viewer.approaches = None,
@@ -150,8 +158,8 @@ impl SkyRenderer {
                     let has_requests = viewer.requests.len() == self.active.len();
                     let is_late = now.duration_since(since) > APPROACH_MAX;
                     has_requests
-                        && self.coarse_is_ready(viewer)
-                        && (is_late || !self.is_coarse(viewer))
+                        && self.coarse_is_ready(viewer.cell)
+                        && (is_late || !self.is_coarse(viewer.cell, &viewer.requests))
                 })
             })
             .map(|(id, _)| *id)
@@ -172,11 +180,11 @@ impl SkyRenderer {
         };
         viewer.view.camera = camera;
         viewer.input = input;
-        viewer.requests.clear();
+        viewer.forget_requests();
         let view = viewer.view;
         self.choose_renderer(id, &view);
-        let cell = self.place(id, &camera);
-        self.change_requests(cell);
+        self.place(id, &camera);
+        self.change_requests_of(id);
     }
 
     pub(super) fn set_view(&mut self, id: ViewerId, view: ViewRequest) {
@@ -187,6 +195,9 @@ impl SkyRenderer {
             let bytes = u64::from(view.size.pixels()) * 4;
             viewer.picture = Picture::new(&self.gpu, &self.pipelines, view.size, false);
             viewer.ring = ReadbackRing::new(bytes, READBACKS_PER_VIEWER);
+            if let Some(transition) = &mut viewer.transition {
+                transition.resize(&self.gpu, &self.pipelines, &viewer.picture);
+            }
         }
         viewer.screen_space = None;
         let input = viewer.input;
@@ -208,12 +219,22 @@ impl SkyRenderer {
 
     /// The view of a viewer as the shaders read it, with the tables of its cell.
     pub(super) fn view_of(&self, viewer: &ActiveViewer) -> Option<layout::View> {
-        let cell = self.active_cells.get(&viewer.cell)?;
+        self.view_in(viewer, viewer.cell, &viewer.requests)
+    }
+
+    /// The view of a viewer with the tables of a cell of which it requests something.
+    pub(super) fn view_in(
+        &self,
+        viewer: &ActiveViewer,
+        cell: CellId,
+        requests: &[Vec<TileRequest>],
+    ) -> Option<layout::View> {
+        let cell = self.active_cells.get(&cell)?;
         let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
         let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
         view.dither_shift = dither_shift(viewer.view.codec);
         view.parallax_steps = parallax_steps(&self.scene, &self.active, viewer, cell.reference_m);
-        for (layer, requests) in viewer.requests.iter().enumerate().take(view.tables.len()) {
+        for (layer, requests) in requests.iter().enumerate().take(view.tables.len()) {
             let finest = requests.iter().map(|r| r.key.level).max().unwrap_or(0);
             view.tables[layer] = cell.buffers.table(layer, finest);
         }

@@ -10,7 +10,7 @@ use crate::composite::{
 };
 use crate::gpu::PipelineKey;
 use crate::march::{LayerBlend, layer_features};
-use skycell_protocol::{RendererKind, Show, ViewerId};
+use skycell_protocol::{CellId, RendererKind, Show, ViewerId};
 use skycell_shaders::Shown;
 
 /// Why a view of the cache shows the picture instead.
@@ -49,13 +49,18 @@ impl SkyRenderer {
             LayerBlend::of(&self.scene, &self.active),
             screen_space,
         );
-        self.shown_keys(shown, self.key_for(viewer, composite))
+        self.shown_keys(shown, self.key_for(viewer, viewer.cell, composite))
     }
 
-    /// A composite's key as a viewer needs it.
-    pub(super) fn key_for(&self, viewer: &ActiveViewer, composite: PipelineKey) -> PipelineKey {
+    /// A composite's key as a viewer needs it that reads the cache of a cell.
+    pub(super) fn key_for(
+        &self,
+        viewer: &ActiveViewer,
+        cell: CellId,
+        composite: PipelineKey,
+    ) -> PipelineKey {
         let searches = viewer.kind == RendererKind::Cached
-            && self.active_cells.get(&viewer.cell).is_some_and(|cell| {
+            && self.active_cells.get(&cell).is_some_and(|cell| {
                 parallax_steps(&self.scene, &self.active, viewer, cell.reference_m) > 0
             });
         if searches {

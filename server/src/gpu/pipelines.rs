@@ -63,6 +63,10 @@ pub struct Pipelines {
     pub shadows_layout: wgpu::BindGroupLayout,
     /// Group 1 of the pass that makes the table of light shafts.
     pub make_shafts_layout: wgpu::BindGroupLayout,
+    /// Group 0 of the pass that fills tiles from others: addresses, work, working page to write.
+    pub resample_layout: wgpu::BindGroupLayout,
+    /// Group 0 of the pass that mixes two pictures: share, old and new picture.
+    pub fade_layout: wgpu::BindGroupLayout,
     empty_layout: wgpu::BindGroupLayout,
     /// Stands where a kernel has no group.
     pub empty_group: wgpu::BindGroup,
@@ -308,6 +312,17 @@ impl Pipelines {
                 "blend maps",
                 &[uniform(), storage(true), storage(true), storage(false)],
             ),
+            resample_layout: layout(
+                gpu,
+                "resample",
+                &[
+                    uniform(),
+                    storage(true),
+                    stored_as(wgpu::TextureFormat::Rgba16Float, D2),
+                    stored_as(wgpu::TextureFormat::R32Float, D2),
+                ],
+            ),
+            fade_layout: layout(gpu, "fade", &[uniform(), storage(true), storage(false)]),
             view_layout: layout(gpu, "view", &[uniform(), storage(true)]),
             window_layout: layout(gpu, "window", &[uniform(), storage(true), uniform()]),
             air_base_layout: layout(
@@ -426,6 +441,18 @@ impl Pipelines {
             ],
             Kernel::BlendMaps => [
                 &self.blend_layout,
+                &self.empty_layout,
+                &self.empty_layout,
+                &self.empty_layout,
+            ],
+            Kernel::ResampleTiles => [
+                &self.resample_layout,
+                &self.empty_layout,
+                &self.cached_layout,
+                &self.empty_layout,
+            ],
+            Kernel::FadePictures => [
+                &self.fade_layout,
                 &self.empty_layout,
                 &self.empty_layout,
                 &self.empty_layout,

@@ -9,6 +9,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 pub enum TimedPass {
     /// Updated cache texels.
     Cache,
+    /// Filled tiles from others.
+    Resample,
     /// Marched texels again to see how wrong the cache is.
     Audit,
     /// Made columns of the sun volume.
@@ -17,6 +19,8 @@ pub enum TimedPass {
     LightShafts,
     /// Composited a picture.
     Composite,
+    /// Mixed the pictures of two view cells.
+    Fade,
     /// Made a picture of a quantity of the cloud field.
     Inspection,
     /// Marched pixels of the screen-space renderer.
@@ -25,12 +29,14 @@ pub enum TimedPass {
 
 impl TimedPass {
     /// Every kind.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 9] = [
         Self::Cache,
+        Self::Resample,
         Self::Audit,
         Self::SunVolume,
         Self::LightShafts,
         Self::Composite,
+        Self::Fade,
         Self::Inspection,
         Self::ScreenSpace,
     ];
@@ -40,10 +46,12 @@ impl TimedPass {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Cache => "cache",
+            Self::Resample => "resample",
             Self::Audit => "audit",
             Self::SunVolume => "sun-volume",
             Self::LightShafts => "light-shafts",
             Self::Composite => "composite",
+            Self::Fade => "fade",
             Self::Inspection => "inspection",
             Self::ScreenSpace => "screen-space",
         }
@@ -68,10 +76,12 @@ struct Slot {
 #[derive(Debug, Default)]
 struct Sums {
     cache: Sum,
+    resample: Sum,
     audit: Sum,
     sun_volume: Sum,
     light_shafts: Sum,
     composite: Sum,
+    fade: Sum,
     inspection: Sum,
     screen_space: Sum,
 }
@@ -244,10 +254,12 @@ impl Sums {
     fn of(&self, pass: TimedPass) -> &Sum {
         match pass {
             TimedPass::Cache => &self.cache,
+            TimedPass::Resample => &self.resample,
             TimedPass::Audit => &self.audit,
             TimedPass::SunVolume => &self.sun_volume,
             TimedPass::LightShafts => &self.light_shafts,
             TimedPass::Composite => &self.composite,
+            TimedPass::Fade => &self.fade,
             TimedPass::Inspection => &self.inspection,
             TimedPass::ScreenSpace => &self.screen_space,
         }

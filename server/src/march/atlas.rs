@@ -212,6 +212,16 @@ impl Atlas {
 
     /// Copies a tile to where the update with this place in its batch reads what was there before.
     pub fn keep_previous(&self, encoder: &mut wgpu::CommandEncoder, slot: Slot, place: u32) {
+        self.copy(encoder, slot, place, false);
+    }
+
+    /// Copies a place of the working page to where a tile is stored.
+    pub fn store(&self, encoder: &mut wgpu::CommandEncoder, place: u32, slot: Slot) {
+        self.copy(encoder, slot, place, true);
+    }
+
+    /// Copies a tile between its slot and a place of the working page.
+    fn copy(&self, encoder: &mut wgpu::CommandEncoder, slot: Slot, place: u32, stores: bool) {
         let origin = |index: u32, page: u32| wgpu::Origin3d {
             x: 0,
             y: index * TILE_STRIDE,
@@ -222,7 +232,7 @@ impl Atlas {
             height: TILE_STRIDE,
             depth_or_array_layers: 1,
         };
-        for (from, to) in [
+        for (pages, working) in [
             (&self.radiance, &self.previous_radiance),
             (&self.distance, &self.previous_distance),
         ] {
@@ -232,14 +242,17 @@ impl Atlas {
                 origin,
                 aspect: wgpu::TextureAspect::All,
             };
-            encoder.copy_texture_to_texture(
-                at(
-                    from,
-                    origin(slot.0 % TILES_PER_PAGE, slot.0 / TILES_PER_PAGE),
-                ),
-                at(to, origin(place, 0)),
-                extent,
+            let stored = at(
+                pages,
+                origin(slot.0 % TILES_PER_PAGE, slot.0 / TILES_PER_PAGE),
             );
+            let worked = at(working, origin(place, 0));
+            let (from, to) = if stores {
+                (worked, stored)
+            } else {
+                (stored, worked)
+            };
+            encoder.copy_texture_to_texture(from, to, extent);
         }
     }
 }

@@ -1,0 +1,94 @@
+//! The pass that mixes the pictures of two view cells for a viewer who goes from one to the other.
+
+use super::Picture;
+use crate::gpu::{Gpu, PipelineKey, Pipelines, TimedPass, TimingRing};
+use skycell_protocol::FrameSize;
+use skycell_shaders::{Features, Kernel, layout};
+
+/// Pixels along a workgroup's part of a picture.
+const GROUP_WIDTH: u32 = 16;
+/// Rows of a workgroup's part of a picture.
+const GROUP_ROWS: u32 = 8;
+
+/// The pass that mixes two pictures.
+#[must_use]
+pub fn fade_key() -> PipelineKey {
+    PipelineKey {
+        kernel: Kernel::FadePictures,
+        features: Features::default(),
+    }
+}
+
+/// A second picture of a viewer, that of the cell that it leaves, and its way into the first.
+#[derive(Debug)]
+pub struct PictureFade {
+    old: Picture,
+    uniform: wgpu::Buffer,
+    group: wgpu::BindGroup,
+}
+
+impl PictureFade {
+    /// A second picture beside `picture`, which is to hold the new cell's and then the mix.
+    #[must_use]
+    pub fn new(gpu: &Gpu, pipelines: &Pipelines, picture: &Picture) -> Self {
+        let old = Picture::new(gpu, pipelines, picture.size(), false);
+        let uniform = gpu.uniform_buffer("fade", size_of::<layout::Fade>());
+        let buffers = [&uniform, old.pixels(), picture.pixels()];
+        Self {
+            group: gpu.buffer_group("fade", &pipelines.fade_layout, &buffers),
+            old,
+            uniform,
+        }
+    }
+
+    /// Bytes on the device of a picture of a size.
+    #[must_use]
+    pub fn bytes_of(size: FrameSize) -> u64 {
+        u64::from(size.pixels()) * 4
+    }
+
+    /// Where the old cell's picture is to be composited.
+    #[must_use]
+    pub fn old(&self) -> &Picture {
+        &self.old
+    }
+
+    /// Records the mix into the new picture, after both were composited. `share` is that of the new one; squares of
+    /// 2^`dither_shift` pixels are rounded alike.
+    pub fn record(
+        &self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        timing: &mut TimingRing,
+        pipelines: &Pipelines,
+        share: f64,
+        dither_shift: u32,
+    ) {
+        let Some(pipeline) = pipelines.get(fade_key()) else {
+            return;
+        };
+        let size = self.old.size();
+        let fade = layout::Fade {
+            share: share.clamp(0.0, 1.0) as f32,
+            width: size.width(),
+            height: size.height(),
+            dither_shift,
+        };
+        gpu.queue
+            .write_buffer(&self.uniform, 0, bytemuck::bytes_of(&fade));
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some("fade"),
+            timestamp_writes: timing.pass(TimedPass::Fade, 1),
+        });
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(0, &self.group, &[]);
+        for group in 1..4 {
+            pass.set_bind_group(group, &pipelines.empty_group, &[]);
+        }
+        pass.dispatch_workgroups(
+            size.width().div_ceil(GROUP_WIDTH),
+            size.height().div_ceil(GROUP_ROWS),
+            1,
+        );
+    }
+}

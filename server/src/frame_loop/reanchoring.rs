@@ -1,0 +1,223 @@
+//! New anchors for a cell's caches when the old ones are too far from the reference: what they hold is resampled about the
+//! new ones, so that the cell goes on showing what it showed and nothing has to be marched for that.
+
+#[cfg(test)]
+mod tests;
+
+use super::cells_on_device::ActiveCell;
+use super::renderer::SkyRenderer;
+use crate::cache::{
+    ProxySphere, SphereCache, SphereId, TileKey, TileUpdate, octahedral_from_direction,
+};
+use crate::march::{CellFrame, ResampleGroup, ResampledTile, record_resample};
+use glam::{DVec2, DVec3};
+use skycell_protocol::CellId;
+use skycell_shaders::layout;
+
+/// A cell's frame goes with it when its reference is this far from the frame's origin, m. Seen from there a frame's up is tilted by
+/// the angle between both on the planet, 0.01°; a frame that is changed tilts the picture by that.
+const FRAME_MOVES_M: f64 = 1_000.0;
+
+/// Where a layer's texels were and are.
+struct Readdressed {
+    old: ProxySphere,
+    new: ProxySphere,
+}
+
+impl Readdressed {
+    /// Places of a new tile's corners, edges and middle in the old square.
+    fn places(&self, key: TileKey) -> Vec<DVec2> {
+        let thirds = [0.0, 0.5, 1.0];
+        let within = thirds.map(|y| thirds.map(|x| DVec2::new(x, y)));
+        within
+            .as_flattened()
+            .iter()
+            .map(|within| {
+                let point = self.new.point(key.direction(*within));
+                let [x, z] = self.new.frame.origin_m();
+                let world_m = DVec3::new(x + point.x, self.new.altitude_m, z + point.z);
+                let from_old = self.old.frame.from_world(world_m) - self.old.anchor;
+                octahedral_from_direction(from_old.normalize_or(DVec3::Y))
+            })
+            .collect()
+    }
+
+    fn addresses(&self) -> layout::Resample {
+        let [[from_x, from_z], [to_x, to_z]] = [&self.old, &self.new].map(|s| s.frame.origin_m());
+        layout::Resample {
+            new_anchor: self.new.anchor.as_vec3().to_array(),
+            planet_radius_m: self.new.frame.planet_radius_m() as f32,
+            old_anchor: self.old.anchor.as_vec3().to_array(),
+            proxy_altitude_m: self.new.altitude_m as f32,
+            moved: [(to_x - from_x) as f32, (to_z - from_z) as f32],
+            ..Default::default()
+        }
+    }
+}
+
+impl SkyRenderer {
+    /// Gives a cell new anchors at its reference. Who looks at it sees it about the old ones first, and then goes on to the new
+    /// ones. Where there is nothing that is worth keeping, its caches start anew.
+    pub(super) fn reanchor_cell(&mut self, id: CellId) {
+        if !self.can_be_resampled(id) {
+            self.restart_cell(id);
+            return;
+        }
+        let Some(mut old) = self.active_cells.remove(&id) else {
+            return;
+        };
+        let mut cell = self.new_active_cell(old.reference_m);
+        let [x, z] = old.frame.origin_m();
+        let from_origin_m = DVec3::new(old.reference_m.x - x, 0.0, old.reference_m.z - z);
+        if from_origin_m.length() <= FRAME_MOVES_M {
+            cell.frame = old.frame;
+        }
+        let exposure_ev = old.auto_exposure_ev();
+        cell.take_over(&mut old);
+        let stand_in = self.keep_for_viewers(id);
+        // What was marched since the last frame is read, too.
+        let layers = 0..self.active.len() as u32;
+        let tables: Vec<_> = layers
+            .clone()
+            .map(|layer| {
+                let sphere = self.caches.sphere_mut(SphereId { cell: id, layer });
+                sphere.page_tables(None)
+            })
+            .collect();
+        old.buffers.set_tables(&self.gpu, &tables);
+        let mut spheres = self.caches.take_spheres(id);
+        // Asks for what is wanted about the new anchors.
+        self.refresh_cell(id, &mut cell, self.wind_speed_max_m_per_s() > 0.0);
+        for layer in layers {
+            if let Some(sphere) = spheres.remove(&layer) {
+                let sphere_id = SphereId { cell: id, layer };
+                self.resample(sphere_id, &mut old, &cell, &sphere);
+                match stand_in {
+                    Some(cell) => self.caches.put(SphereId { cell, layer }, sphere),
+                    // The next layer's tiles may take these slots: passes run in their order.
+                    None => self.caches.release(sphere),
+                }
+            }
+        }
+        if let Some(stand_in) = stand_in {
+            old.stand_for(id, exposure_ev);
+            self.active_cells.insert(stand_in, old);
+        }
+        self.audit.tiles_changed();
+        self.active_cells.insert(id, cell);
+    }
+
+    /// Whether the coarse level of every layer is there and shows what is seen from about where the reference is now: after a
+    /// jump it shows another place.
+    fn can_be_resampled(&self, id: CellId) -> bool {
+        (0..self.active.len() as u32).all(|layer| {
+            let sphere_id = SphereId { cell: id, layer };
+            let (sphere, reference) = (
+                self.caches.sphere(sphere_id),
+                self.drifting_reference(sphere_id),
+            );
+            match (sphere, reference) {
+                (Some(sphere), Some(reference)) => {
+                    sphere.coarse_is_shown() && !sphere.is_of_elsewhere(reference)
+                }
+                _ => false,
+            }
+        })
+    }
+
+    /// Submits the filling of one layer's tiles.
+    fn resample(
+        &mut self,
+        id: SphereId,
+        old: &mut ActiveCell,
+        cell: &ActiveCell,
+        sphere: &SphereCache,
+    ) {
+        let place = id.layer as usize;
+        let Some(layer) = self.active.get(place).copied() else {
+            return;
+        };
+        let proxy = |frame: CellFrame, anchor: DVec3| ProxySphere {
+            frame,
+            anchor,
+            altitude_m: layer.proxy_altitude_m,
+            reference: frame.from_world(cell.reference_m),
+            seen_between_m: None,
+        };
+        let way = Readdressed {
+            old: proxy(old.frame, self.anchor_m(old, place)),
+            new: proxy(cell.frame, self.anchor_m(cell, place)),
+        };
+        let reference = cell.reference_m - self.drifts[layer.scene_index].with_y(0.0);
+        let filled = self
+            .caches
+            .resample(id, sphere, reference, |key| way.places(key));
+        self.atlas.fit(&self.gpu, self.caches.slots_needed());
+        let anchor_m = cell.drifting_anchor(place);
+        for (key, slot) in &filled {
+            let shown_from = self.caches.sphere(id).and_then(|s| s.shown_from(key));
+            if let (Some(shown_from), Some(anchor_m)) = (shown_from, anchor_m) {
+                self.atlas.set_origin(&self.gpu, *slot, shown_from - anchor_m);
+            }
+        }
+        let tiles: Vec<ResampledTile> = filled
+            .into_iter()
+            .map(|(key, slot)| ResampledTile {
+                key,
+                slot,
+                table: old.buffers.table(place, SphereCache::source_level(key)),
+            })
+            .collect();
+        let cached = old
+            .buffers
+            .cached_group(&self.gpu, &self.pipelines, &self.atlas)
+            .clone();
+        self.submit_resample(&ResampleGroup {
+            cached: &cached,
+            addresses: way.addresses(),
+            tiles: &tiles,
+        });
+        self.counters.tiles_resampled += tiles.len() as u64;
+    }
+
+    fn submit_resample(&mut self, group: &ResampleGroup<'_>) {
+        self.timing.begin();
+        let mut encoder = self
+            .gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
+                label: Some("resample tiles"),
+            });
+        self.counters.dispatches += record_resample(
+            &self.gpu,
+            &mut encoder,
+            &mut self.timing,
+            &self.pipelines,
+            &self.atlas,
+            group,
+        );
+        self.timing.resolve(&mut encoder);
+        self.submit(encoder);
+        self.timing.submitted();
+    }
+
+    /// Runs the pass once, over a tile that nobody is shown.
+    pub(super) fn warm_up_resample(&mut self, update: &TileUpdate) {
+        let Some(cell) = self.active_cells.get_mut(&update.sphere.cell) else {
+            return;
+        };
+        let cached = cell
+            .buffers
+            .cached_group(&self.gpu, &self.pipelines, &self.atlas)
+            .clone();
+        self.submit_resample(&ResampleGroup {
+            cached: &cached,
+            addresses: layout::Resample::default(),
+            tiles: &[ResampledTile {
+                key: update.key,
+                slot: update.slot,
+                table: layout::PageTable::default(),
+            }],
+        });
+    }
+}

@@ -1,0 +1,410 @@
+//! Viewers on their way from one view cell to another: they go on seeing the old cell's cache until the new one has what
+//! they look at, then a cross-fade of both pictures.
+//!
+//! A viewer is between two cells at most. When it comes to belong to a third one while two are mixed, it goes there when that
+//! mix is over; when it comes to belong to the one that it left, the mix goes back the way that it came. So what is shown never
+//! jumps.
+
+mod way;
+
+#[cfg(test)]
+mod tests;
+
+pub(super) use way::{Readiness, Stage, Way};
+
+use super::interface::TransitionStats;
+use super::renderer::SkyRenderer;
+use super::viewers_on_device::ActiveViewer;
+use crate::cache::TileRequest;
+use crate::composite::{Picture, PictureFade};
+use crate::gpu::{Gpu, Pipelines};
+use glam::DVec3;
+use skycell_protocol::{Camera, CellId, RendererKind, ViewerId};
+
+/// Most viewers between two cells; further ones are shown their new cell at once. Each may keep a cell that nobody belongs to
+/// any more.
+const VIEWERS_MAX: usize = 32;
+/// Most bytes of second pictures: fifteen of 1920×1080.
+const PICTURES_BYTES_MAX: u64 = 128 << 20;
+/// The reference of a cell that somebody leaves stands still for that while it would not have to move farther, m.
+const HELD_MAX_M: f64 = 3_000.0;
+/// Pictures about old and new anchors differ as little as those of references that are so far apart, rad.
+const NEW_ANCHORS_RAD: f64 = 0.13;
+/// Clouds count as no nearer than this, m.
+const HEIGHT_MIN_M: f64 = 100.0;
+
+/// A viewer's way to another cell.
+pub(super) struct Transition {
+    /// The cell that it comes from.
+    pub(super) from: CellId,
+    /// What it looks at there.
+    pub(super) requests: Vec<Vec<TileRequest>>,
+    pub(super) way: Way,
+    /// While both are shown.
+    pub(super) fade: Option<PictureFade>,
+    /// The camera when time last passed.
+    camera: Camera,
+}
+
+impl Transition {
+    /// A picture of another size needs another one of that size beside it.
+    pub(super) fn resize(&mut self, gpu: &Gpu, pipelines: &Pipelines, picture: &Picture) {
+        if self.fade.is_some() {
+            self.fade = Some(PictureFade::new(gpu, pipelines, picture));
+        }
+    }
+}
+
+impl ActiveViewer {
+    /// Whether frames show a cell's cache, or are about to for want of anything else.
+    pub(super) fn looks_at(&self, cell: CellId) -> bool {
+        match &self.transition {
+            None => self.cell == cell,
+            Some(transition) if transition.way.stage() == Stage::Waits => transition.from == cell,
+            Some(transition) => transition.from == cell || self.cell == cell,
+        }
+    }
+
+    /// Whether two cells are mixed in its frames.
+    pub(super) fn fades(&self) -> bool {
+        self.transition
+            .as_ref()
+            .is_some_and(|transition| transition.way.stage() == Stage::Fades)
+    }
+
+    /// Whether it needs a cell, which may have no members any more.
+    pub(super) fn needs(&self, cell: CellId) -> bool {
+        self.cell == cell
+            || self
+                .transition
+                .as_ref()
+                .is_some_and(|transition| transition.from == cell)
+    }
+
+    /// What it looks at in a cell whose cache it reads, to be filled in. Empty ones are out of date.
+    pub(super) fn requests_in(&mut self, cell: CellId) -> Option<&mut Vec<Vec<TileRequest>>> {
+        if self.cell == cell {
+            return self.reads_cache().then_some(&mut self.requests);
+        }
+        self.transition
+            .as_mut()
+            .filter(|transition| transition.from == cell)
+            .map(|transition| &mut transition.requests)
+    }
+
+    /// Whether it looks at a cell from so far away by now that nothing is marched for that.
+    pub(super) fn has_jumped_from(&self, cell: CellId) -> bool {
+        self.transition
+            .as_ref()
+            .is_some_and(|transition| transition.from == cell && transition.way.has_jumped())
+    }
+
+    /// What it asks for has to be looked up anew, in all cells that it reads.
+    pub(super) fn forget_requests(&mut self) {
+        self.requests.clear();
+        if let Some(transition) = &mut self.transition {
+            transition.requests.clear();
+        }
+    }
+}
+
+/// Sums since the start.
+#[derive(Debug, Default)]
+pub(super) struct TransitionCounters {
+    /// Viewers who changed cells by a way.
+    begun: u64,
+    /// Those who were shown their new cell at once, for want of room or time.
+    swapped: u64,
+    /// Cells that were shown under another number.
+    stand_ins: u32,
+}
+
+impl SkyRenderer {
+    /// Brings a viewer to the cell that it belongs to, or on its way there.
+    pub(super) fn follow_cell(&mut self, id: ViewerId) {
+        let Some(target) = self.cells.cell_of(id) else {
+            return;
+        };
+        let in_transition = self.viewers_in_transition();
+        let Some(mut viewer) = self.viewers.remove(&id) else {
+            return;
+        };
+        let left = viewer.cell;
+        if left != target {
+            match viewer.transition.take() {
+                None => {
+                    // From what shows nothing there is no way, and rays of its own show the same sky in all cells.
+                    let is_shown =
+                        viewer.kind == RendererKind::Cached && self.coarse_is_ready(left);
+                    let requests = std::mem::take(&mut viewer.requests);
+                    if is_shown && in_transition < VIEWERS_MAX {
+                        self.counters.transitions.begun += 1;
+                        viewer.transition = Some(Transition {
+                            from: left,
+                            requests,
+                            way: Way::new(self.apart_rad(left, target)),
+                            fade: None,
+                            camera: viewer.shown_camera,
+                        });
+                    } else {
+                        self.counters.transitions.swapped += u64::from(is_shown);
+                    }
+                    viewer.cell = target;
+                    viewer.screen_space = None;
+                }
+                Some(mut transition) if transition.fade.is_some() => {
+                    if transition.from == target {
+                        transition.from = left;
+                        std::mem::swap(&mut viewer.requests, &mut transition.requests);
+                        transition.way.turn_round();
+                        viewer.cell = target;
+                    }
+                    // A third cell comes after these two.
+                    viewer.transition = Some(transition);
+                }
+                Some(transition) if transition.from == target => {
+                    viewer.cell = target;
+                    viewer.requests = transition.requests;
+                }
+                Some(transition) => {
+                    viewer.cell = target;
+                    viewer.requests.clear();
+                    viewer.transition = Some(transition);
+                }
+            }
+        }
+        let to = viewer.cell;
+        self.viewers.insert(id, viewer);
+        self.change_requests(left);
+        self.change_requests(to);
+    }
+
+    /// What a viewer asks for has changed, in all cells that it reads.
+    pub(super) fn change_requests_of(&mut self, id: ViewerId) {
+        let Some(viewer) = self.viewers.get(&id) else {
+            return;
+        };
+        let from = viewer.transition.as_ref().map(|transition| transition.from);
+        let cells = [Some(viewer.cell), from];
+        for cell in cells.into_iter().flatten() {
+            self.change_requests(cell);
+        }
+    }
+
+    /// The cell that is shown by the caches of an active one: itself, or the one that it stands for.
+    pub(super) fn cell_shown_by(&self, id: CellId) -> CellId {
+        let cell = self.active_cells.get(&id);
+        cell.and_then(|cell| cell.stands_for)
+            .map_or(id, |(shown, _)| shown)
+    }
+
+    /// Lets those who look at a cell go on seeing it under another number, which is returned, while the cell itself becomes
+    /// another, and then go on to that. None where nobody does.
+    pub(super) fn keep_for_viewers(&mut self, id: CellId) -> Option<CellId> {
+        let mut room = VIEWERS_MAX.saturating_sub(self.viewers_in_transition());
+        // Far from those of cells, which are counted up.
+        let stand_in = CellId(u32::MAX - self.counters.transitions.stand_ins);
+        let mut is_kept = false;
+        for viewer in self.viewers.values_mut() {
+            let is_in = viewer.cell == id && viewer.kind == RendererKind::Cached;
+            match &mut viewer.transition {
+                Some(transition) if transition.from == id => {
+                    transition.from = stand_in;
+                    is_kept = true;
+                }
+                None if is_in && room > 0 => {
+                    room -= 1;
+                    viewer.transition = Some(Transition {
+                        from: stand_in,
+                        requests: std::mem::take(&mut viewer.requests),
+                        way: Way::new(NEW_ANCHORS_RAD),
+                        fade: None,
+                        camera: viewer.shown_camera,
+                    });
+                    is_kept = true;
+                }
+                _ => {}
+            }
+            if viewer.cell == id {
+                viewer.requests.clear();
+            }
+        }
+        if is_kept {
+            self.counters.transitions.stand_ins += 1;
+        }
+        is_kept.then_some(stand_in)
+    }
+
+    /// Lets time pass for viewers between two cells. Returns those whose frames show something else for that.
+    pub(super) fn pass_transitions(&mut self, passed_s: f64) -> Vec<ViewerId> {
+        let ids: Vec<ViewerId> = self
+            .viewers
+            .iter()
+            .filter(|(_, viewer)| viewer.transition.is_some())
+            .map(|(id, _)| *id)
+            .collect();
+        if ids.is_empty() {
+            return ids;
+        }
+        let mut changed = Vec::new();
+        let mut has_ended = false;
+        for id in ids {
+            let Some(mut viewer) = self.viewers.remove(&id) else {
+                continue;
+            };
+            let before = viewer.transition.as_ref().map(|t| t.way.share());
+            self.pass_transition(&mut viewer, passed_s);
+            let after = viewer.transition.as_ref().map(|t| t.way.share());
+            if before != after {
+                changed.push(id);
+            }
+            let ends = viewer.transition.is_none();
+            self.viewers.insert(id, viewer);
+            if ends {
+                has_ended = true;
+                // It may belong to another cell by now.
+                self.follow_cell(id);
+            }
+        }
+        if has_ended {
+            self.end_empty_cells();
+        }
+        changed
+    }
+
+    fn pass_transition(&mut self, viewer: &mut ActiveViewer, passed_s: f64) {
+        let Some(mut transition) = viewer.transition.take() else {
+            return;
+        };
+        if viewer.kind != RendererKind::Cached {
+            return;
+        }
+        let camera = viewer.view.camera;
+        let motion = self.motion_between(&transition.camera, &camera);
+        transition.camera = camera;
+        let was_jump = transition.way.has_jumped();
+        transition
+            .way
+            .pass(passed_s, motion, self.readiness(viewer));
+        if transition.way.has_jumped() && !was_jump {
+            transition.requests.clear();
+            self.change_requests(transition.from);
+        }
+        let is_first = transition.way.stage() == Stage::Fades && transition.fade.is_none();
+        if is_first {
+            let bytes = PictureFade::bytes_of(viewer.view.size);
+            if self.fade_bytes() + bytes > PICTURES_BYTES_MAX {
+                transition.way.give_up();
+            } else {
+                let (gpu, pipelines) = (&self.gpu, &self.pipelines);
+                transition.fade = Some(PictureFade::new(gpu, pipelines, &viewer.picture));
+            }
+        }
+        match transition.way.stage() {
+            Stage::Waits | Stage::Fades => viewer.transition = Some(transition),
+            Stage::Arrived => {}
+            Stage::GivenUp => self.counters.transitions.swapped += 1,
+        }
+    }
+
+    /// What a viewer's cell can show of what it looks at.
+    fn readiness(&self, viewer: &ActiveViewer) -> Readiness {
+        let has_requests = viewer.requests.len() == self.active.len();
+        if !has_requests || !self.coarse_is_ready(viewer.cell) {
+            Readiness::Missing
+        } else if self.is_coarse(viewer.cell, &viewer.requests) {
+            Readiness::Coarse
+        } else {
+            Readiness::Fine
+        }
+    }
+
+    /// Height of the nearest clouds over or under an altitude, m.
+    fn cloud_height_m(&self, altitude_m: f64) -> f64 {
+        self.active
+            .iter()
+            .map(|layer| (layer.proxy_altitude_m - altitude_m).abs())
+            .fold(f64::INFINITY, f64::min)
+            .max(HEIGHT_MIN_M)
+    }
+
+    /// Angle between the references of two cells, seen from the nearest clouds.
+    fn apart_rad(&self, a: CellId, b: CellId) -> f64 {
+        let reference_m = |id: CellId| {
+            let on_device = self.active_cells.get(&id).map(|cell| cell.reference_m);
+            on_device.or_else(|| self.cells.get(id).map(|cell| cell.reference_m))
+        };
+        match (reference_m(a), reference_m(b)) {
+            (Some(a), Some(b)) => a.distance(b) / self.cloud_height_m(a.y),
+            _ => 0.0,
+        }
+    }
+
+    /// Ways that the motion from one camera to another hides.
+    fn motion_between(&self, before: &Camera, now: &Camera) -> f64 {
+        let [was_m, is_m] = [before, now].map(|camera| DVec3::from_array(camera.position_m()));
+        // Of two equal directions the cosine may round to more than 1.
+        let turned_rad = before
+            .direction()
+            .dot(now.direction())
+            .clamp(-1.0, 1.0)
+            .acos();
+        let moved_rad = was_m.distance(is_m) / self.cloud_height_m(is_m.y);
+        Way::hidden_by(turned_rad, moved_rad)
+    }
+
+    /// Whether rays of a cell go on starting where they did although its reference is elsewhere by now: who leaves a cell that
+    /// falls apart would see it jump, and those who stay were within its limit before.
+    pub(super) fn holds_reference(&self, id: CellId, reference_m: DVec3) -> bool {
+        let limit = self.cells.limit();
+        let is_left = |viewer: &ActiveViewer| {
+            let transition = viewer.transition.as_ref();
+            transition.is_some_and(|t| t.from == id && !t.way.has_jumped())
+        };
+        self.active_cells
+            .get(&id)
+            .is_some_and(|cell| limit.distance_m(cell.reference_m, reference_m) <= HELD_MAX_M)
+            && self.viewers.values().any(is_left)
+    }
+
+    /// Shows every viewer the cell that it belongs to: nothing is left of what was shown.
+    pub(super) fn end_transitions(&mut self) {
+        let ids: Vec<ViewerId> = self.viewers.keys().copied().collect();
+        for id in ids {
+            let target = self.cells.cell_of(id);
+            if let Some(viewer) = self.viewers.get_mut(&id)
+                && viewer.transition.take().is_some()
+                && let Some(target) = target
+            {
+                viewer.cell = target;
+                viewer.requests.clear();
+                self.change_requests(target);
+            }
+        }
+        self.end_empty_cells();
+    }
+
+    fn viewers_in_transition(&self) -> usize {
+        let viewers = self.viewers.values();
+        viewers.filter(|viewer| viewer.transition.is_some()).count()
+    }
+
+    fn fade_bytes(&self) -> u64 {
+        let fading = self.viewers.values().filter(|viewer| viewer.fades());
+        fading
+            .map(|viewer| PictureFade::bytes_of(viewer.view.size))
+            .sum()
+    }
+
+    pub(super) fn transition_stats(&self) -> TransitionStats {
+        let belongs = |id: &CellId| self.cells.get(*id).is_some_and(|c| !c.members.is_empty());
+        TransitionStats {
+            viewers: self.viewers_in_transition() as u64,
+            fading: self.viewers.values().filter(|v| v.fades()).count() as u64,
+            cells_kept: self.active_cells.keys().filter(|id| !belongs(id)).count() as u64,
+            picture_bytes: self.fade_bytes(),
+            begun: self.counters.transitions.begun,
+            swapped: self.counters.transitions.swapped,
+        }
+    }
+}
