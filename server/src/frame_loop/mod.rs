@@ -18,6 +18,7 @@ mod stats;
 
 mod still;
 mod still_settings;
+mod still_shared;
 mod sun_volumes;
 mod viewers_on_device;
 mod views;
@@ -27,3 +28,4 @@ pub use still::StillRenderer;
 pub use still_settings::{
     LayerFigures, RayFigures, RayPicture, StillFigures, StillPicture, StillRay, StillSettings,
 };
+pub use still_shared::SharedFigures;

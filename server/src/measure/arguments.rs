@@ -5,6 +5,7 @@ use super::metrics::COMPARED_SIDE_MIN;
 use super::octaves::OctavesArguments;
 use super::plan::{Axis, Extent};
 use super::reference::{ReferenceSource, TruthInputs};
+use super::scaling::ScalingArguments;
 use crate::render_command::{Folders, read_scene, triple};
 use anyhow::Context;
 use skycell_protocol::{Camera, FrameSize, Scene};
@@ -45,6 +46,13 @@ pub enum Measurement {
         after_help = "Example: skycell-server measure distance --quick --out distance && xdg-open distance/distance.html"
     )]
     Distance(Box<DistanceArguments>),
+    /// What many viewers cost: crowds of cameras that move for minutes, without a device, and viewers at one place, rendered:
+    /// scaling.json and scaling.html in the folder of --out.
+    #[command(
+        after_help = "Examples:\n  skycell-server measure scaling --quick --out scaling && xdg-open scaling/scaling.html\n  \
+                      skycell-server measure scaling --only crowds --crowd-viewers 1000 --motions fly"
+    )]
+    Scaling(Box<ScalingArguments>),
     /// How far the light that clouds scatter more than once is from the path tracer's, over shapes from thin to thick.
     #[command(after_help = "Example: skycell-server measure octaves --fit")]
     Octaves(OctavesArguments),

@@ -14,6 +14,7 @@ pub mod progress;
 pub mod quality;
 pub mod reference;
 pub mod report;
+pub mod scaling;
 pub mod settings;
 pub mod store;
 pub mod sweep;
@@ -32,6 +33,7 @@ pub fn run(arguments: &MeasureArguments) -> anyhow::Result<()> {
         Measurement::Trade(trade) => trade::run(trade),
         Measurement::Gallery(gallery) => gallery::run(gallery),
         Measurement::Distance(arguments) => distance::run(arguments),
+        Measurement::Scaling(arguments) => scaling::run(arguments),
         Measurement::Octaves(arguments) => octaves::run(arguments),
     }
 }

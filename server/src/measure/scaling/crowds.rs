@@ -278,9 +278,8 @@ impl<'a> Watch<'a> {
             second.changes += changes.len() as u64;
         }
         self.cell_counts.push(self.cells.iter().count() as f64);
-        for share in self.offsets(positions_m).map(|offset| offset.share) {
-            self.widest_share = self.widest_share.max(share);
-        }
+        let shares = self.offsets(positions_m).map(|offset| offset.share);
+        self.widest_share = shares.fold(self.widest_share, f64::max);
     }
 
     /// How far everybody is from their reference.
@@ -306,7 +305,8 @@ impl<'a> Watch<'a> {
             .iter()
             .map(|offset| self.curve.flip(offset.sideways_m, offset.up_m))
             .collect();
-        self.shares.extend(offsets.iter().map(|offset| offset.share));
+        self.shares
+            .extend(offsets.iter().map(|offset| offset.share));
         self.errors.extend(&errors);
         let error = Spread::of(errors);
         self.seconds.push(CrowdSecond {

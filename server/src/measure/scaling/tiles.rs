@@ -204,7 +204,8 @@ impl<'a> CrowdTiles<'a> {
             let off_m = anchored.anchor_m(index, drifts) - reference_m;
             let height_m = (layer.proxy_altitude_m - reference_m.y).abs().max(100.0);
             off_m.with_y(0.0).length() > ANCHOR_MAX_M
-                || (reference_m.y < self.lowest_base_m && off_m.y.abs() > ANCHOR_RISE_MAX * height_m)
+                || (reference_m.y < self.lowest_base_m
+                    && off_m.y.abs() > ANCHOR_RISE_MAX * height_m)
         })
     }
 
@@ -313,8 +314,7 @@ mod tests {
 
     #[test]
     fn viewers_at_one_place_are_marched_for_once_and_those_far_apart_for_each() {
-        let [one, same, apart] =
-            [&[0.0][..], &[0.0; 5], &[0.0, 1e5, 2e5]].map(|xs| sums_of(xs, 3));
+        let [one, same, apart] = [&[0.0][..], &[0.0; 5], &[0.0, 1e5, 2e5]].map(|xs| sums_of(xs, 3));
         assert_eq!(one.marched, same.marched);
         assert_eq!(5 * one.requested, same.requested);
         assert_eq!(3 * one.marched, apart.marched);
