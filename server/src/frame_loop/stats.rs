@@ -71,6 +71,8 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             .map(|(id, viewer)| ViewerRenderStats {
                 id: *id,
                 cell: viewer.cell,
+                position_m: viewer.view.camera.position_m(),
+                yaw_deg: viewer.view.camera.yaw_deg(),
                 texels_requested: viewer.texels_requested(),
                 frames_composited: viewer.frames_composited,
                 frames_in_flight: viewer.frames_in_flight(),
@@ -92,6 +94,8 @@ fn cell_stats(renderer: &SkyRenderer, id: CellId) -> CellStats {
         id,
         name: cell.name.clone(),
         reference_m: cell.reference_m.to_array(),
+        radius_m: cell.radius_m,
+        placed: cell.placed,
         viewers: cell.members.clone(),
         ..CellStats::default()
     };
