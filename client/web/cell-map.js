@@ -49,8 +49,8 @@ const MARGIN = 44;
 const RADIUS_MIN = 9;
 /** The least width of what is shown, m. */
 const WIDTH_MIN_M = 200;
-/** Heights above or below the reference that are told, m. */
-const HEIGHT_TOLD_M = 100;
+/** Altitudes that are told, m. */
+const ALTITUDE_TOLD_M = 100;
 const QUIET = "#9aa7b8";
 const INK = "#e6ebf2";
 
@@ -121,14 +121,13 @@ export function layoutMap(cells, viewers, own, width, height) {
   }));
   const map_viewers = placed.map((viewer) => {
     const cell = map_cells.find(({ id }) => id === viewer.cell) ?? null;
-    const reference_m = cells.find(({ id }) => id === viewer.cell)?.reference_m;
-    const up_m = reference_m ? viewer.position_m[1] - reference_m[1] : 0;
-    const height_text = Math.abs(up_m) < HEIGHT_TOLD_M ? "" : `${up_m > 0 ? "+" : "−"}${lengthText(Math.abs(up_m))}`;
+    const altitude_m = viewer.position_m[1];
+    const altitude_text = altitude_m < ALTITUDE_TOLD_M ? "" : `${lengthText(altitude_m)} up`;
     const is_own = viewer.id === own;
     return {
       id: viewer.id,
       own: is_own,
-      label: [is_own ? "you" : "", height_text].filter((text) => text !== "").join(" "),
+      label: [is_own ? "you" : "", altitude_text].filter((text) => text !== "").join(", "),
       colour: cell?.colour ?? QUIET,
       yaw_rad: ((viewer.yaw_deg ?? 0) * Math.PI) / 180,
       cell,

@@ -44,7 +44,7 @@ test("a viewer whose place is not known is left out, one far up says so, and one
     shown.map(({ id, label, own }) => [id, label, own]),
     [
       [7, "you", true],
-      [8, "+1.5 km", false],
+      [8, "1.5 km up", false],
     ],
   );
   assert.equal(shown[1].colour, colourOf(2));

@@ -159,6 +159,32 @@ impl StillRenderer {
         })
     }
 
+    /// The last picture from the same cache, read another way: only what `settings` say of reading may differ. What that asks
+    /// for beside what is there is marched.
+    ///
+    /// # Errors
+    /// When the device is lost, or the last picture was not from a cache.
+    pub fn read_again(
+        &mut self,
+        size: FrameSize,
+        settings: &StillSettings,
+    ) -> Result<StillPicture, GpuError> {
+        let viewer = self.renderer.viewers.get(&VIEWER);
+        if viewer.is_none_or(|viewer| viewer.kind != RendererKind::Cached) {
+            return Err(GpuError::Device("there is no cached picture to read".into()));
+        }
+        self.renderer.refresh_quality(VIEWER);
+        self.prepare_composites(false, settings, false)?;
+        self.march_all(false, |_| {})?;
+        let (display, linear) = self.composites(size, false, settings)?;
+        Ok(StillPicture {
+            size,
+            display,
+            linear,
+            figures: StillFigures::default(),
+        })
+    }
+
     /// Marches listed rays with the screen-space renderer; `progress` gets the share that is done.
     ///
     /// # Errors
