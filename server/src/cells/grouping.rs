@@ -54,7 +54,8 @@ impl Cells {
         });
         let changes: Vec<CellChange> = changes.collect();
         // Who has changed may let others follow, and who may not go back yet may do so later, though nobody moves then.
-        self.restless |= !changes.is_empty() || self.places.values().any(|p| self.may_not_go_back(p));
+        self.restless |=
+            !changes.is_empty() || self.places.values().any(|p| self.may_not_go_back(p));
         changes
     }
 

@@ -171,7 +171,9 @@ impl StillRenderer {
     ) -> Result<StillPicture, GpuError> {
         let viewer = self.renderer.viewers.get(&VIEWER);
         if viewer.is_none_or(|viewer| viewer.kind != RendererKind::Cached) {
-            return Err(GpuError::Device("there is no cached picture to read".into()));
+            return Err(GpuError::Device(
+                "there is no cached picture to read".into(),
+            ));
         }
         self.renderer.refresh_quality(VIEWER);
         self.prepare_composites(false, settings, false)?;

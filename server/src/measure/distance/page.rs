@@ -24,8 +24,8 @@ pub(super) fn page(report: &DistanceReport) -> String {
         h2 { "Distances of equal error" }
         (reaches(&report.reaches))
         h2 { "FLIP over distance" }
-        div.thumbs {
-            @for direction in Direction::ALL { @for view in View::ALL { (plot(report, direction, view)) } }
+        @for direction in Direction::ALL {
+            div.plots { @for view in View::ALL { (plot(report, direction, view)) } }
         }
         h2 { "All points" }
         (points(report))

@@ -83,13 +83,13 @@ pub struct ScalingArguments {
     #[arg(long, value_delimiter = ',', value_name = "N,...", value_parser = clap::value_parser!(u32).range(1..=i64::from(RING_VIEWERS_MAX)))]
     pub viewers: Vec<u32>,
     /// Shares of the field of view that neighbours of a ring have in common, percent [default: 0,100 with --quick, else
-    /// 0,20,40,60,80,100].
+    /// 0,40,80,100].
     #[arg(long, value_delimiter = ',', value_name = "PERCENT,...")]
     pub overlaps: Vec<f64>,
     /// Halvings of the cache's resolution below the screen's, 0 to 4 [default: 1 with --quick, else 0,1,2,3].
     #[arg(long, value_delimiter = ',', value_name = "BIAS,...")]
     pub mip_biases: Vec<f32>,
-    /// Steps of rings through a layer's thickness [default: 16 with --quick, else 64].
+    /// Steps of rings through a layer's thickness [default: 16 with --quick, else 32].
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub steps: Option<u32>,
     /// Samples of a texel [default: 2 with --quick, else 8].
@@ -259,14 +259,14 @@ impl ScalingArguments {
             if quick {
                 &[0.0, 100.0]
             } else {
-                &[0.0, 20.0, 40.0, 60.0, 80.0, 100.0]
+                &[0.0, 40.0, 80.0, 100.0]
             },
         );
         let biases = given(
             &self.mip_biases,
             if quick { &[1.0] } else { &[0.0, 1.0, 2.0, 3.0] },
         );
-        let steps = self.steps.unwrap_or(if quick { 16 } else { 64 });
+        let steps = self.steps.unwrap_or(if quick { 16 } else { 32 });
         let mut setups = Vec::new();
         for mip_bias in biases {
             ensure!(

@@ -24,7 +24,7 @@ fn crowds(report: &ScalingReport) -> Markup {
         h2 { "Crowds" }
         p {
             "Cameras alone, no device. Cells are decided on " (report.ticks_per_s) " times in a simulated second and are no wider \
-             than " (short(report.limit_m)) " m. The caches' own bookkeeping is driven every " (look_s) " s for every viewer ("
+             than " (short(report.limit_m / 1e3)) " km sideways. The caches' own bookkeeping is driven every " (look_s) " s for every viewer ("
             (size.width()) " × " (size.height()) ", mip bias " (report.crowd_mip_bias) ", " (report.samples)
             " samples a texel, at most " (short(report.tiles_per_s)) " tiles a second): it tells the texels that would be \
              marched. The error is that of the measured curve at each viewer's distance from its reference."
@@ -121,7 +121,7 @@ fn course(crowd: &CrowdOutcome) -> Markup {
     ];
     html! {
         h3 { (name(crowd)) }
-        div.thumbs { @for (y_desc, curves) in &plots {
+        div.plots { @for (y_desc, curves) in &plots {
             (LinePlot { x_desc: "s", y_desc, curves }.figure(""))
         } }
     }
@@ -144,7 +144,7 @@ fn rings(report: &ScalingReport) -> Markup {
              and marched until nothing is left; then each viewer gets a picture. Rays are those of a screen-space renderer for \
              the same pictures and samples."
         }
-        div.thumbs { @for bias in &biases { (ring_plot(report, *bias)) } }
+        div.plots { @for bias in &biases { (ring_plot(report, *bias)) } }
         (ring_table(&report.rings))
     }
 }
