@@ -1,7 +1,7 @@
 //! Crowds of cameras over minutes: cells, changes between them, distances, texels, time to decide.
 
 use super::tiles::{CrowdTiles, TileSetup, TileSums};
-use crate::cells::{CellLimit, Cells, Crowd, CrowdMotion, ErrorCurve};
+use crate::cells::{CellChange, CellLimit, Cells, Crowd, CrowdMotion, ErrorCurve};
 use glam::DVec3;
 use serde::Serialize;
 use skycell_protocol::{Camera, CellId, Scene, ViewerId};
@@ -178,16 +178,30 @@ struct Watch<'a> {
     setup: &'a CrowdSetup,
     curve: &'a ErrorCurve,
     cells: Cells,
-    /// When who left which cell, s.
-    left_s: BTreeMap<(ViewerId, CellId), f64>,
+    flips: FlipCount,
     cell_counts: Vec<f64>,
     decisions_us: Vec<f64>,
     shares: Vec<f64>,
     errors: Vec<f64>,
     seconds: Vec<CrowdSecond>,
     changes: u64,
-    flips: u64,
     widest_share: f64,
+}
+
+/// Counts who goes back to where they have just left.
+#[derive(Default)]
+struct FlipCount {
+    /// When who left which cell, s.
+    left_s: BTreeMap<(ViewerId, CellId), f64>,
+    flips: u64,
+}
+
+impl FlipCount {
+    fn note(&mut self, change: &CellChange, time_s: f64) {
+        let left_s = self.left_s.get(&(change.viewer, change.to));
+        self.flips += u64::from(left_s.is_some_and(|left_s| time_s - left_s < FLIP_S));
+        self.left_s.insert((change.viewer, change.from), time_s);
+    }
 }
 
 /// Lets a crowd move and watches it; `progress` gets the share that is done.
@@ -249,14 +263,13 @@ impl<'a> Watch<'a> {
             setup,
             curve,
             cells: Cells::new(&[], setup.limit),
-            left_s: BTreeMap::new(),
+            flips: FlipCount::default(),
             cell_counts: Vec::new(),
             decisions_us: Vec::new(),
             shares: Vec::new(),
             errors: Vec::new(),
             seconds: Vec::new(),
             changes: 0,
-            flips: 0,
             widest_share: 0.0,
         }
     }
@@ -269,9 +282,7 @@ impl<'a> Watch<'a> {
         let changes = self.cells.regroup(tick_s);
         self.decisions_us.push(begun.elapsed().as_secs_f64() * 1e6);
         for change in &changes {
-            let left_s = self.left_s.get(&(change.viewer, change.to));
-            self.flips += u64::from(left_s.is_some_and(|left_s| time_s - left_s < FLIP_S));
-            self.left_s.insert((change.viewer, change.from), time_s);
+            self.flips.note(change, time_s);
         }
         self.changes += changes.len() as u64;
         if let Some(second) = self.seconds.last_mut() {
@@ -328,7 +339,7 @@ impl<'a> Watch<'a> {
             cells: Spread::of(self.cell_counts),
             changes: self.changes,
             changes_per_viewer_minute: self.changes as f64 / viewer_s * 60.0,
-            flips: self.flips,
+            flips: self.flips.flips,
             widest_share: self.widest_share,
             distance_share: Spread::of(self.shares),
             error: Spread::of(self.errors),
@@ -396,6 +407,10 @@ mod tests {
         for motion in CrowdMotion::ALL {
             let found = outcome(&setup(motion));
             assert!(found.widest_share <= 1.0, "{found:?}");
+            assert!(
+                found.widest_share > 0.3,
+                "somebody is away from a reference"
+            );
             assert_eq!(found.flips, 0, "{}", found.motion);
             assert!(found.cells.min >= 1.0 && found.cells.max <= 60.0);
             assert_eq!(found.seconds.len(), 60);
@@ -425,6 +440,25 @@ mod tests {
         assert!(narrow.cells.median > wide.cells.median);
         assert!(narrow.error.p95 < wide.error.p95);
         assert!(narrow.texels.marched > wide.texels.marched);
+    }
+
+    #[test]
+    fn who_is_back_within_the_time_is_counted_and_nobody_else() {
+        let mut count = FlipCount::default();
+        let mut go = |who: u32, from: u32, to: u32, time_s: f64| {
+            let change = CellChange {
+                viewer: ViewerId(who),
+                from: CellId(from),
+                to: CellId(to),
+            };
+            count.note(&change, time_s);
+            count.flips
+        };
+        assert_eq!(go(1, 1, 2, 0.0), 0);
+        assert_eq!(go(2, 2, 1, 5.0), 0, "somebody else");
+        assert_eq!(go(1, 2, 1, 10.0), 1, "back after ten seconds");
+        assert_eq!(go(1, 1, 2, 30.0), 1, "and away again after twenty");
+        assert_eq!(go(1, 2, 3, 31.0), 1, "to where they never were");
     }
 
     #[test]
