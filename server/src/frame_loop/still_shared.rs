@@ -24,7 +24,7 @@ pub struct SharedFigures {
     /// Texels marched, each with all its samples.
     pub marches: u64,
     /// Share of requested texels that another viewer requests too, 0 to 1.
-    pub overlap: f64,
+    pub measured_overlap: f64,
     /// GPU memory of the caches, bytes.
     pub cache_bytes: u64,
     /// Device time of marching, where it can tell.
@@ -103,7 +103,7 @@ impl StillRenderer {
             texels_coarse: sum(|cell| cell.texels_coarse),
             marches: stats.totals.texels_updated - before.texels_updated,
             // All stand at one place: there is one cell.
-            overlap: stats.cells.first().map_or(0.0, |cell| cell.overlap),
+            measured_overlap: stats.cells.first().map_or(0.0, |cell| cell.overlap),
             cache_bytes: stats.totals.cache_bytes,
             march_ns: (march_ns > 0).then_some(march_ns),
             composite_ns: (composite_ns > 0).then_some(composite_ns),

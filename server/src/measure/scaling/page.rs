@@ -194,7 +194,7 @@ fn ring_table(rings: &[RingOutcome]) -> Markup {
                 @let viewers = f64::from(setup.viewers);
                 tr {
                     td.n { (setup.mip_bias) } td.n { (setup.viewers) }
-                    td.n { (format!("{:.0} %", setup.overlap * 100.0)) } td.n { (format!("{:.0} %", figures.overlap * 100.0)) }
+                    td.n { (format!("{:.0} %", setup.overlap * 100.0)) } td.n { (format!("{:.0} %", figures.measured_overlap * 100.0)) }
                     td.n { (short(figures.texels_requested as f64)) } td.n { (short(figures.texels_unique as f64)) }
                     td.n { (short(figures.marches as f64)) } td.n { (short(ring.marches_per_ray)) }
                     td.n { (ms(figures.march_ns)) } td.n { (short(figures.march_wall_s * 1e3)) }
