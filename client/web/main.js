@@ -6,6 +6,7 @@
  * `/api/v1/views` lists the views.
  */
 
+import { attachCellMap } from "./cell-map.js";
 import { connect } from "./connection.js";
 import { attachMaps } from "./maps.js";
 import { attachLook, clamp, compassPoint } from "./look.js";
@@ -113,6 +114,14 @@ attachMaps({
   told: element("map-told", HTMLElement),
   seconds: element("map-seconds", HTMLInputElement),
   opener: element("maps-button", HTMLButtonElement),
+});
+
+const cell_map = attachCellMap({
+  panel: element("cell-map", HTMLElement),
+  canvas: element("cell-map-canvas", HTMLCanvasElement),
+  told: element("cell-map-told", HTMLElement),
+  opener: element("cell-map-button", HTMLButtonElement),
+  ownViewer: () => connection.status.welcome?.viewer ?? null,
 });
 
 function applySize() {
@@ -258,6 +267,9 @@ Object.defineProperty(window, "skycell", {
     },
     get counts() {
       return view.counts();
+    },
+    get cellMap() {
+      return cell_map.shown();
     },
     connection,
   }),

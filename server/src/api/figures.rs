@@ -17,6 +17,10 @@ pub(super) struct ViewerReport {
     id: ViewerId,
     /// Null until the renderer has placed the viewer.
     cell: Option<CellId>,
+    /// Where it is: x, altitude, z. Null until the renderer has placed it.
+    position_m: Option<[f64; 3]>,
+    /// Where it looks, clockwise from north. Null until then.
+    yaw_deg: Option<f64>,
     width: u32,
     height: u32,
     codec: Codec,
@@ -111,6 +115,8 @@ fn report_of(viewer: &Viewer, stats: &RenderStats) -> ViewerReport {
     ViewerReport {
         id: viewer.id(),
         cell: rendered.map(|known| known.cell),
+        position_m: rendered.map(|known| known.position_m),
+        yaw_deg: rendered.map(|known| known.yaw_deg),
         width: view.size.width(),
         height: view.size.height(),
         codec: view.codec,

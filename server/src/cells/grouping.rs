@@ -53,8 +53,9 @@ impl Cells {
             (to != from).then_some(CellChange { viewer, from, to })
         });
         let changes: Vec<CellChange> = changes.collect();
-        // Who has changed may let others follow.
-        self.restless |= !changes.is_empty();
+        // Who has changed may let others follow, and who may not go back yet may do so later, though nobody moves then.
+        self.restless |=
+            !changes.is_empty() || self.places.values().any(|p| self.may_not_go_back(p));
         changes
     }
 
@@ -325,6 +326,12 @@ impl Cells {
         near.into_iter()
             .map(|(_, id)| id)
             .find(|id| self.has_room(*id, std::slice::from_ref(place)))
+    }
+
+    /// Whether there is a cell that somebody has left too short a time ago.
+    fn may_not_go_back(&self, place: &Place) -> bool {
+        let left_s = place.left.iter().flatten().map(|(_, left_s)| *left_s);
+        left_s.fold(f64::NEG_INFINITY, f64::max) > self.time_s - RETURN_S
     }
 
     /// Whether some may enter a cell: near enough to its reference, now and soon, and all near enough to where the

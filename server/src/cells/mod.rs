@@ -4,10 +4,12 @@
 //! The same viewers at the same places at the same times always give the same cells.
 
 mod crowd;
+mod error_curve;
 mod grouping;
 mod limit;
 
 pub use crowd::{Crowd, CrowdMotion};
+pub use error_curve::{ErrorAt, ErrorCurve, ErrorCurveError, ErrorCurveFile};
 pub use limit::CellLimit;
 
 use crate::config::PlacedCell;

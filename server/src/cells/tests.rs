@@ -200,6 +200,29 @@ fn a_narrower_limit_is_kept_at_the_next_grouping() {
     assert_eq!(cells.iter().count(), 3);
 }
 
+#[test]
+fn cells_that_a_narrow_limit_has_split_merge_again_though_nobody_moves() {
+    let mut cells = empty();
+    settle(&mut cells, &[0.0, 1_500.0]);
+    cells.set_limit(CellLimit::new(300.0, 100.0));
+    cells.regroup(TICK_S);
+    assert_eq!(cells.iter().count(), 2);
+    // The wish is gone before anybody may go back.
+    cells.set_limit(CellLimit::default());
+    for _ in 0..20 {
+        cells.regroup(TICK_S);
+    }
+    assert_eq!(cells.iter().count(), 2);
+    for _ in 0..200 {
+        cells.regroup(TICK_S);
+    }
+    assert_eq!(cells.iter().count(), 1);
+    for _ in 0..200 {
+        cells.regroup(TICK_S);
+    }
+    assert!(!cells.restless, "a crowd at rest costs nothing");
+}
+
 /// What happened to a crowd.
 struct Told {
     changes: Vec<(u32, CellChange)>,

@@ -387,6 +387,10 @@ pub struct CellStats {
     pub name: String,
     /// Where its rays start: x, altitude, z.
     pub reference_m: [f64; 3],
+    /// How far from there its viewers may be, sideways.
+    pub radius_m: f64,
+    /// Placed by the operator; others form by themselves.
+    pub placed: bool,
     /// How far its anchor has drifted with the wind: x, altitude, z.
     pub anchor_drift_m: [f64; 3],
     /// Who belongs to it.
@@ -424,6 +428,10 @@ pub struct ViewerRenderStats {
     pub cell: CellId,
     /// The one that it leaves, while it is on its way from there: the same one where that has got new anchors.
     pub leaves: Option<CellId>,
+    /// Where it is: x, altitude, z.
+    pub position_m: [f64; 3],
+    /// Where it looks, clockwise from north.
+    pub yaw_deg: f64,
     /// Texels that it requests.
     pub texels_requested: u64,
     /// Frames composited for it.

@@ -21,6 +21,7 @@ mod stats;
 
 mod still;
 mod still_settings;
+mod still_shared;
 mod sun_volumes;
 mod transitions;
 mod viewers_on_device;
@@ -31,3 +32,4 @@ pub use still::StillRenderer;
 pub use still_settings::{
     LayerFigures, RayFigures, RayPicture, StillFigures, StillPicture, StillRay, StillSettings,
 };
+pub use still_shared::SharedFigures;

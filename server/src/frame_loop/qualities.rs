@@ -4,6 +4,7 @@ use super::cells_on_device::ActiveCell;
 use super::interface::{AskedBy, QualityStats, ViewRequest};
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
+use crate::cells::{CellLimit, ErrorCurve};
 use crate::config::RenderConfig;
 use crate::gpu::TimedPass;
 use crate::march::MarchSettings;
@@ -52,6 +53,10 @@ pub(super) struct Qualities {
     pub(super) table: QualityTable,
     overrides: QualityOverrides,
     default: QualityChoice,
+    /// Somebody has chosen the default: it is not only what the adapter affords.
+    default_is_asked: bool,
+    /// How the error of a shared cache grows with the distance.
+    curve: ErrorCurve,
     /// Viewers and scenes may choose; single pictures have their own settings.
     are_chosen: bool,
     composite: UnitTime,
@@ -104,6 +109,8 @@ impl Qualities {
                     .or(is_software.then_some(SOFTWARE_PARALLAX_STEPS)),
             },
             default: config.quality.unwrap_or(default),
+            default_is_asked: config.quality.is_some(),
+            curve: ErrorCurve::embedded(),
             are_chosen: false,
             composite: UnitTime::default(),
             tile: UnitTime::default(),
@@ -294,12 +301,37 @@ impl SkyRenderer {
         cell.samples = finest.samples;
     }
 
-    /// Measures what frames cost and lets budgets pick, every half a second.
+    /// Gives cells the limit that keeps the smallest error that somebody asks for, by the measured curve. Where nobody asks
+    /// for an error, and for what a software driver can afford, it is the default.
+    fn refresh_limit(&mut self) {
+        let qualities = &self.qualities;
+        if !qualities.are_chosen {
+            return;
+        }
+        let max_error = |quality: &ViewerQuality| match quality.asked {
+            QualityChoice::MaxError(_)
+                if quality.asked_by == AskedBy::Server && !qualities.default_is_asked =>
+            {
+                None
+            }
+            QualityChoice::MaxError(flip) => Some(flip),
+            QualityChoice::Preset(_) | QualityChoice::BudgetMs(_) => None,
+        };
+        let asked = self.viewers.values();
+        let least = asked
+            .filter_map(|viewer| max_error(&viewer.quality))
+            .min_by(f64::total_cmp);
+        let limit = least.map_or_else(CellLimit::default, |flip| qualities.curve.limit(flip));
+        self.cells.set_limit(limit);
+    }
+
+    /// Measures what frames cost, lets budgets pick and gives cells their limit, every half a second.
     pub(super) fn consider_budgets(&mut self, now: Instant) {
         if now < self.qualities.due {
             return;
         }
         self.qualities.due = now + BUDGET_INTERVAL;
+        self.refresh_limit();
         let composites = self.gpu_time(TimedPass::Composite);
         let tiles = self.gpu_time(TimedPass::Cache);
         let are_fresh = self.qualities.composite.measure(composites);

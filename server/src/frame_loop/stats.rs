@@ -79,6 +79,8 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
                     .transition
                     .as_ref()
                     .map(|t| renderer.cell_shown_by(t.from)),
+                position_m: viewer.view.camera.position_m(),
+                yaw_deg: viewer.view.camera.yaw_deg(),
                 texels_requested: viewer.texels_requested(),
                 frames_composited: viewer.frames_composited,
                 frames_in_flight: viewer.frames_in_flight(),
@@ -100,6 +102,8 @@ fn cell_stats(renderer: &SkyRenderer, id: CellId) -> CellStats {
         id,
         name: cell.name.clone(),
         reference_m: cell.reference_m.to_array(),
+        radius_m: cell.radius_m,
+        placed: cell.placed,
         viewers: cell.members.clone(),
         ..CellStats::default()
     };

@@ -22,7 +22,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 /// Tiles marched between two reports of progress.
-const BATCH_TILES: usize = 32;
+pub(super) const BATCH_TILES: usize = 32;
 /// Device time of a strip of the screen-space renderer between two reports, ns.
 const STRIP_NS: u64 = 400_000_000;
 /// The only viewer.
@@ -30,7 +30,7 @@ const VIEWER: ViewerId = ViewerId(1);
 
 /// Renders single pictures of one scene.
 pub struct StillRenderer {
-    renderer: SkyRenderer,
+    pub(super) renderer: SkyRenderer,
     placed: Vec<PlacedCell>,
 }
 
@@ -271,6 +271,11 @@ impl StillRenderer {
         })
     }
 
+    /// Nobody is there, and what comes next is made by these settings.
+    pub(super) fn begin(&mut self, settings: &StillSettings) -> Result<(), GpuError> {
+        Start::of(self, settings).map(|_| ())
+    }
+
     /// Makes the only viewer anew; true when it gets rays of its own: a camera in or above the clouds always does.
     fn join(&mut self, camera: Camera, size: FrameSize, settings: &StillSettings) -> bool {
         let renderer = &mut self.renderer;
@@ -400,7 +405,7 @@ impl StillRenderer {
         Ok(())
     }
 
-    fn march_all(
+    pub(super) fn march_all(
         &mut self,
         screen_space: bool,
         mut progress: impl FnMut(f64),

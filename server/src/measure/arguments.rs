@@ -1,9 +1,11 @@
 //! What `skycell-server measure` is asked for.
 
+use super::distance::DistanceArguments;
 use super::metrics::COMPARED_SIDE_MIN;
 use super::octaves::OctavesArguments;
 use super::plan::{Axis, Extent};
 use super::reference::{ReferenceSource, TruthInputs};
+use super::scaling::ScalingArguments;
 use crate::render_command::{Folders, read_scene, triple};
 use anyhow::Context;
 use skycell_protocol::{Camera, FrameSize, Scene};
@@ -36,6 +38,21 @@ pub enum Measurement {
                       --size 192x108 --pair-size 96x54 --only haze,storm --out /tmp/gallery"
     )]
     Gallery(Box<GalleryArguments>),
+    /// How the error of shared caches grows with the distance between a viewer and the reference point of its cell:
+    /// distance.json and distance.html in the folder of --out.
+    ///
+    /// A run that was stopped goes on where it was when it is started again.
+    #[command(
+        after_help = "Example: skycell-server measure distance --quick --out distance && xdg-open distance/distance.html"
+    )]
+    Distance(Box<DistanceArguments>),
+    /// What many viewers cost: crowds of cameras that move for minutes, without a device, and viewers at one place, rendered:
+    /// scaling.json and scaling.html in the folder of --out.
+    #[command(
+        after_help = "Examples:\n  skycell-server measure scaling --quick --out scaling && xdg-open scaling/scaling.html\n  \
+                      skycell-server measure scaling --only crowds --crowd-viewers 1000 --motions fly"
+    )]
+    Scaling(Box<ScalingArguments>),
     /// How far the light that clouds scatter more than once is from the path tracer's, over shapes from thin to thick.
     #[command(after_help = "Example: skycell-server measure octaves --fit")]
     Octaves(OctavesArguments),
@@ -153,7 +170,7 @@ pub enum ReferenceKind {
     Converged,
 }
 
-fn parsed_size(text: &str) -> Result<FrameSize, String> {
+pub(super) fn parsed_size(text: &str) -> Result<FrameSize, String> {
     let allowed = "allowed: WIDTHxHEIGHT such as 640x360, from 11x11 to 3840x2160";
     let numbers = text
         .split_once('x')

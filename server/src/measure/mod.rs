@@ -4,6 +4,7 @@
 //! compares them by `metrics`, `store` keeps them; `front` finds what nothing beats; `report` and `quality` write it down.
 
 mod arguments;
+pub mod distance;
 pub mod front;
 mod gallery;
 pub mod metrics;
@@ -13,6 +14,7 @@ pub mod progress;
 pub mod quality;
 pub mod reference;
 pub mod report;
+pub mod scaling;
 pub mod settings;
 pub mod store;
 pub mod sweep;
@@ -30,6 +32,8 @@ pub fn run(arguments: &MeasureArguments) -> anyhow::Result<()> {
     match &arguments.what {
         Measurement::Trade(trade) => trade::run(trade),
         Measurement::Gallery(gallery) => gallery::run(gallery),
+        Measurement::Distance(arguments) => distance::run(arguments),
+        Measurement::Scaling(arguments) => scaling::run(arguments),
         Measurement::Octaves(arguments) => octaves::run(arguments),
     }
 }

@@ -15,28 +15,36 @@ const STYLE: &str = include_str!("page.css");
 /// The page. `reference` is the data URI of the reference picture.
 #[must_use]
 pub fn page(report: &Report, reference: &str, thumbnails: Thumbnails<'_>) -> String {
+    let title = "Skycell: time against error";
+    whole_page(
+        title,
+        &html! {
+            h1 { (title) }
+            (facts(report, reference))
+            (presets(report))
+            (front(report))
+            @if !report.ladder.is_empty() { (ladder(report, thumbnails)) }
+            h2 { "One setting at a time" }
+            p { (legend(&[(SCREEN_SPACE, "FLIP, screen-space"), (CACHED, "FLIP, cached"), (OF_AXIS, "FLIP against the axis's own most accurate point: the error of this setting alone")])) }
+            @for axis in Axis::ALL.into_iter().filter(|axis| *axis != Axis::Ladder) { (axis_section(report, axis, thumbnails)) }
+            (definitions(report))
+        },
+    )
+}
+
+/// A page that needs no other file, around what it tells.
+#[must_use]
+pub(crate) fn whole_page(title: &str, body: &Markup) -> String {
     html! {
         (DOCTYPE)
         html lang="en" {
             head {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
-                title { "Skycell: time against error" }
+                title { (title) }
                 style { (PreEscaped(STYLE)) }
             }
-            body {
-                main {
-                    h1 { "Skycell: time against error" }
-                    (facts(report, reference))
-                    (presets(report))
-                    (front(report))
-                    @if !report.ladder.is_empty() { (ladder(report, thumbnails)) }
-                    h2 { "One setting at a time" }
-                    p { (legend(&[(SCREEN_SPACE, "FLIP, screen-space"), (CACHED, "FLIP, cached"), (OF_AXIS, "FLIP against the axis's own most accurate point: the error of this setting alone")])) }
-                    @for axis in Axis::ALL.into_iter().filter(|axis| *axis != Axis::Ladder) { (axis_section(report, axis, thumbnails)) }
-                    (definitions(report))
-                }
-            }
+            body { main { (body) } }
         }
     }
     .into_string()

@@ -15,14 +15,14 @@ pub(super) const FRONT: RGBColor = RGBColor(22, 163, 74);
 /// FLIP against the axis's own best.
 pub(super) const OF_AXIS: RGBColor = RGBColor(168, 85, 247);
 
-const GRID: RGBColor = RGBColor(128, 128, 128);
-const FONT: &str = "sans-serif";
-const FONT_PX: i32 = 13;
+pub(super) const GRID: RGBColor = RGBColor(128, 128, 128);
+pub(super) const FONT: &str = "sans-serif";
+pub(super) const FONT_PX: i32 = 13;
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Drawn = Result<(), Box<dyn std::error::Error>>;
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+pub(super) type Drawn = Result<(), Box<dyn std::error::Error>>;
 
-fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> Option<String> {
+pub(super) fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> Option<String> {
     let mut text = String::new();
     {
         let area = SVGBackend::with_string(&mut text, size).into_drawing_area();
@@ -40,7 +40,7 @@ fn colour_of(point: &ReportPoint) -> RGBColor {
 }
 
 /// A number in three digits, with k and M.
-pub(super) fn short(value: f64) -> String {
+pub(crate) fn short(value: f64) -> String {
     let rounded = |v: f64, unit: &str| {
         let digits = if v >= 99.95 {
             0

@@ -1,0 +1,215 @@
+//! What is measured: from where, which way, how far, and how the cache is read.
+
+use crate::config::FrameFilter;
+use crate::frame_loop::StillSettings;
+use crate::march::MarchSettings;
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+use skycell_protocol::{Camera, RendererKind};
+
+/// Which way the reference point lies from the eye.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum,
+)]
+#[serde(rename_all = "kebab-case")]
+pub enum Direction {
+    /// To the right.
+    Sideways,
+    /// Ahead, level.
+    Forward,
+    /// Above.
+    Up,
+}
+
+impl Direction {
+    /// Every direction, in the order of the report.
+    pub const ALL: [Self; 3] = [Self::Sideways, Self::Forward, Self::Up];
+
+    /// As people read it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Sideways => "sideways",
+            Self::Forward => "forward",
+            Self::Up => "up",
+        }
+    }
+
+    /// How far the reference goes, m, by rising distance from 0.
+    #[must_use]
+    pub fn distances_m(self, is_quick: bool) -> &'static [f64] {
+        match (self, is_quick) {
+            (Self::Up, false) => &[0.0, 100.0, 300.0, 600.0, 800.0, 1_100.0, 1_400.0],
+            (_, false) => &[0.0, 100.0, 300.0, 1_000.0, 2_000.0, 3_000.0, 5_000.0],
+            (Self::Up, true) => &[0.0, 300.0, 1_100.0],
+            (_, true) => &[0.0, 1_000.0, 3_000.0],
+        }
+    }
+
+    /// The distance whose error others are asked to reach later, m.
+    #[must_use]
+    pub const fn compared_at_m(self) -> f64 {
+        match self {
+            Self::Sideways | Self::Forward => 1_000.0,
+            Self::Up => 300.0,
+        }
+    }
+
+    /// From the eye to the reference: x, altitude, z.
+    #[must_use]
+    pub fn offset_m(self, camera: &Camera, distance_m: f64) -> DVec3 {
+        let way = match self {
+            Self::Sideways => camera.right(),
+            Self::Forward => DVec3::Y.cross(camera.right()),
+            Self::Up => DVec3::Y,
+        };
+        way * distance_m
+    }
+}
+
+/// Where the middle of the picture looks.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum,
+)]
+#[serde(rename_all = "kebab-case")]
+pub enum View {
+    /// To the sun's side.
+    TowardsSun,
+    /// The sun behind.
+    AwayFromSun,
+}
+
+impl View {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::TowardsSun, Self::AwayFromSun];
+
+    /// As people read it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::TowardsSun => "towards the sun",
+            Self::AwayFromSun => "away from the sun",
+        }
+    }
+
+    /// Clockwise from north, with the sun at `sun_azimuth_deg`.
+    #[must_use]
+    pub fn yaw_deg(self, sun_azimuth_deg: f64) -> f64 {
+        match self {
+            Self::TowardsSun => sun_azimuth_deg,
+            Self::AwayFromSun => (sun_azimuth_deg + 180.0) % 360.0,
+        }
+    }
+}
+
+/// How a viewer reads the cache.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum,
+)]
+#[serde(rename_all = "kebab-case")]
+pub enum Variant {
+    /// On the spheres alone, with the phase of its own ray.
+    Phase,
+    /// And where the altitude of what texels show leads.
+    Parallax,
+}
+
+impl Variant {
+    /// The one that viewers of a server get.
+    pub const SERVED: Self = Self::Parallax;
+    /// Every variant, from the simplest on.
+    pub const ALL: [Self; 2] = [Self::Phase, Self::Parallax];
+
+    /// As people read it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Phase => "spheres alone",
+            Self::Parallax => "parallax",
+        }
+    }
+}
+
+/// How rays are marched, in the cache and on the screen alike.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fineness {
+    /// Steps through a layer's thickness.
+    pub steps: u32,
+    /// Samples of a texel or pixel.
+    pub samples: u32,
+}
+
+impl Fineness {
+    /// The picture that all others are compared with: a ray per pixel and sample, from the eye.
+    #[must_use]
+    pub fn screen_space(self) -> StillSettings {
+        StillSettings {
+            renderer: RendererKind::ScreenSpace,
+            march: MarchSettings {
+                steps: self.steps,
+                ..MarchSettings::default()
+            },
+            samples: self.samples,
+            frames: 1,
+            filter: FrameFilter::CatmullRom,
+            ..StillSettings::default()
+        }
+    }
+
+    /// The same from a cache whose rays start `offset_m` from the eye.
+    #[must_use]
+    pub fn cached(self, variant: Variant, offset_m: DVec3) -> StillSettings {
+        let cached = StillSettings {
+            renderer: RendererKind::Cached,
+            reference_offset_m: offset_m.to_array(),
+            ..self.screen_space()
+        };
+        match variant {
+            Variant::Phase => StillSettings {
+                parallax_steps: 0,
+                ..cached
+            },
+            Variant::Parallax => cached,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn directions_are_level_or_upright_and_as_long_as_they_say() {
+        // Looking east and up: right is south, forward is east whatever the pitch.
+        let camera = Camera::new([5.0, 2.0, 5.0], 90.0, 40.0, 60.0).expect("a camera");
+        for (direction, way) in [
+            (Direction::Sideways, DVec3::Z),
+            (Direction::Forward, DVec3::X),
+            (Direction::Up, DVec3::Y),
+        ] {
+            let offset_m = direction.offset_m(&camera, 300.0);
+            assert!(
+                offset_m.distance(way * 300.0) < 1e-9,
+                "{direction:?}: {offset_m}"
+            );
+        }
+    }
+
+    #[test]
+    fn distances_rise_from_nothing_and_hold_the_one_that_is_compared_at() {
+        for direction in Direction::ALL {
+            for is_quick in [false, true] {
+                let distances_m = direction.distances_m(is_quick);
+                assert_eq!(distances_m[0], 0.0);
+                assert!(distances_m.is_sorted_by(|a, b| a < b));
+                assert!(distances_m.contains(&direction.compared_at_m()));
+            }
+        }
+    }
+
+    #[test]
+    fn the_sun_is_ahead_or_behind() {
+        assert_eq!(View::TowardsSun.yaw_deg(250.0), 250.0);
+        assert_eq!(View::AwayFromSun.yaw_deg(250.0), 70.0);
+    }
+}
