@@ -78,7 +78,7 @@ fn beside_the_reference_a_viewer_sees_clouds_where_they_are() -> anyhow::Result<
 /// A search that takes what texels show to be half as far.
 fn half_as_far(path: &str, source: &str) -> String {
     if path == "composite/cached.wgsl" {
-        source.replace("- origin) - distance_m;", "- origin) - 0.5 * distance_m;")
+        source.replace("- shown.distance_m;", "- 0.5 * shown.distance_m;")
     } else {
         source.to_owned()
     }

@@ -157,7 +157,8 @@ impl SkyRenderer {
         for (key, slot) in &filled {
             let shown_from = self.caches.sphere(id).and_then(|s| s.shown_from(key));
             if let (Some(shown_from), Some(anchor_m)) = (shown_from, anchor_m) {
-                self.atlas.set_origin(&self.gpu, *slot, shown_from - anchor_m);
+                self.atlas
+                    .set_origin(&self.gpu, *slot, shown_from - anchor_m);
             }
         }
         let tiles: Vec<ResampledTile> = filled

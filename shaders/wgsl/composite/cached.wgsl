@@ -121,6 +121,26 @@ fn place_of_point(planet_radius_m: f32, layer: Layer, parallax: Parallax, point:
     return parallax.origin + direction * max(sphere.far_m, 1e-3);
 }
 
+/// What a texel tells of what it shows.
+struct Shown {
+    held: bool,
+    opacity: f32,
+    /// From where its ray started, m.
+    distance_m: f32,
+    /// Where that is, from the anchor.
+    origin: vec3f,
+}
+
+fn shown_at(table: PageTable, from_anchor: vec3f) -> Shown {
+    let found = find(table, from_anchor);
+    let page = found.slot / PAGE_TILES;
+    let at = found.texel / PAGE_TEXELS;
+    let opacity = 1.0 - textureSampleLevel(atlas_radiance, atlas_sampler, at, page, 0.0).w;
+    let opacity_distance_m = textureSampleLevel(atlas_distance, atlas_sampler, at, page, 0.0).x;
+    let origin = textureLoad(slot_origins, vec2u(found.slot % ORIGINS_WIDTH, found.slot / ORIGINS_WIDTH), 0).xyz;
+    return Shown(found.held, opacity, distance_seen_m(opacity_distance_m, 1.0 - opacity), origin);
+}
+
 /// What a texel says of a point on a viewer's ray.
 struct Probed {
     /// How far the point lies behind what the texel shows, m; negative in front of it, and where the texel shows nothing.
@@ -136,16 +156,10 @@ const SEEN_OPACITY: f32 = 0.02;
 const NOTHING_BEHIND_M: f32 = -1e9;
 
 fn probe_point(planet_radius_m: f32, layer: Layer, table: PageTable, before: Parallax, point: vec3f) -> Probed {
-    let place = place_of_point(planet_radius_m, layer, before, point);
-    let found = find(table, place);
-    let page = found.slot / PAGE_TILES;
-    let at = found.texel / PAGE_TEXELS;
-    let opacity = 1.0 - textureSampleLevel(atlas_radiance, atlas_sampler, at, page, 0.0).w;
-    let distance_m = distance_seen_m(textureSampleLevel(atlas_distance, atlas_sampler, at, page, 0.0).x, 1.0 - opacity);
-    let origin = textureLoad(slot_origins, vec2u(found.slot % ORIGINS_WIDTH, found.slot / ORIGINS_WIDTH), 0).xyz;
-    let behind_m = length(point - layer.anchor - origin) - distance_m;
-    let shows = found.held && opacity > SEEN_OPACITY;
-    return Probed(select(NOTHING_BEHIND_M, behind_m, shows), select(0.0, opacity, found.held), select(before.origin, origin, found.held));
+    let shown = shown_at(table, place_of_point(planet_radius_m, layer, before, point));
+    let behind_m = length(point - layer.anchor - shown.origin) - shown.distance_m;
+    let shows = shown.held && shown.opacity > SEEN_OPACITY;
+    return Probed(select(NOTHING_BEHIND_M, behind_m, shows), select(0.0, shown.opacity, shown.held), select(before.origin, shown.origin, shown.held));
 }
 
 /// Places of a search stand this far apart in the cache, pixels.
@@ -161,15 +175,12 @@ const CLOUD_SLOPE: f32 = 3.0;
 fn parallax_along(planet_radius_m: f32, eye: View, layer: Layer, table: PageTable, direction: vec3f) -> Parallax {
     var result = Parallax(layer.proxy_altitude_m, vec3f(0.0));
     let on_sphere = point_at_altitude(planet_radius_m, eye, direction, layer.proxy_altitude_m);
-    let first = find(table, on_sphere - layer.anchor);
-    let page = first.slot / PAGE_TILES;
-    let opacity = 1.0 - textureSampleLevel(atlas_radiance, atlas_sampler, first.texel / PAGE_TEXELS, page, 0.0).w;
-    let distance_m = distance_seen_m(textureSampleLevel(atlas_distance, atlas_sampler, first.texel / PAGE_TEXELS, page, 0.0).x, 1.0 - opacity);
-    let origin = textureLoad(slot_origins, vec2u(first.slot % ORIGINS_WIDTH, first.slot / ORIGINS_WIDTH), 0).xyz;
-    result.origin = select(vec3f(0.0), origin, first.held);
+    let first = shown_at(table, on_sphere - layer.anchor);
+    result.origin = select(vec3f(0.0), first.origin, first.held);
     let starts = layer.anchor + result.origin;
-    let seen = starts + normalize(on_sphere - starts) * distance_m;
-    result.height_m = select(layer.proxy_altitude_m, clamp(altitude_m(planet_radius_m, seen), layer.base_altitude_m, layer.top_altitude_m), first.held);
+    let seen = starts + normalize(on_sphere - starts) * first.distance_m;
+    let seen_m = clamp(altitude_m(planet_radius_m, seen), layer.base_altitude_m, layer.top_altitude_m);
+    result.height_m = select(layer.proxy_altitude_m, seen_m, first.held);
 
     let from_base = normalize(point_at_altitude(planet_radius_m, eye, direction, layer.base_altitude_m) - starts);
     let from_top = normalize(point_at_altitude(planet_radius_m, eye, direction, layer.top_altitude_m) - starts);

