@@ -198,7 +198,7 @@ fn parallax_along(planet_radius_m: f32, eye: View, layer: Layer, table: PageTabl
         let probed = probe_point(planet_radius_m, layer, table, result, point);
         let is_behind = probed.behind_m >= 0.0;
         // A point far behind a cloud is no part of it: it is in what the cloud hides. Along one surface it gets behind by no
-        // more than about the way that it has come.
+        // more than some times the way that it has come.
         let way_m = length(point - last);
         let is_on_surface = probed.behind_m - low_behind_m < CLOUD_SLOPE * way_m;
         is_hit = is_behind && (probed.behind_m < CLOUD_DEPTH_SHARE * way_m + CLOUD_DEPTH_M || is_on_surface);
