@@ -9,7 +9,7 @@ use crate::composite::{
     shown_of, with_parallax,
 };
 use crate::gpu::PipelineKey;
-use crate::march::{LayerBlend, layer_features};
+use crate::march::layer_features;
 use skycell_protocol::{CellId, RendererKind, Show, ViewerId};
 use skycell_shaders::Shown;
 
@@ -39,17 +39,37 @@ impl SkyRenderer {
         }
     }
 
-    fn frame_keys(&self, viewer: &ActiveViewer, shown: Shown) -> Vec<PipelineKey> {
-        let filter = viewer.quality.settings.frame_filter;
-        let screen_space = viewer.kind == RendererKind::ScreenSpace;
-        let composite = frame_key(
+    /// The composite of a viewer's frames by a renderer, at the reference.
+    fn composite_by(&self, viewer: &ActiveViewer, renderer: RendererKind) -> PipelineKey {
+        frame_key(
             &self.gpu,
             &self.scene,
-            filter,
-            LayerBlend::of(&self.scene, &self.active),
-            screen_space,
-        );
+            viewer.quality.settings.frame_filter,
+            self.blend(),
+            renderer == RendererKind::ScreenSpace,
+        )
+    }
+
+    fn frame_keys(&self, viewer: &ActiveViewer, shown: Shown) -> Vec<PipelineKey> {
+        let composite = self.composite_by(viewer, viewer.kind);
         self.shown_keys(shown, self.key_for(viewer, viewer.cell, composite))
+    }
+
+    /// The keys of all that a viewer's frames come to need as it moves: away from its reference, and to where the cache does not
+    /// reach.
+    fn possible_keys(&self, viewer: &ActiveViewer, shown: Shown) -> Vec<PipelineKey> {
+        let mut composites = Vec::new();
+        if viewer.view.renderer == RendererKind::Cached {
+            let cached = self.composite_by(viewer, RendererKind::Cached);
+            composites.extend([cached, with_parallax(cached)]);
+        }
+        if !shown.is_of_cache() {
+            composites.push(self.composite_by(viewer, RendererKind::ScreenSpace));
+        }
+        composites
+            .into_iter()
+            .flat_map(|composite| self.shown_keys(shown, composite))
+            .collect()
     }
 
     /// A composite's key as a viewer needs it that reads the cache of a cell.
@@ -95,9 +115,8 @@ impl SkyRenderer {
         let mut wanted = Vec::new();
         for viewer in self.viewers.values() {
             let shown = shown_of(viewer.view.show);
-            let says_nothing = shown.is_of_cache() && viewer.kind == RendererKind::ScreenSpace;
-            if shown != Shown::Picture && !says_nothing {
-                wanted.extend(self.frame_keys(viewer, shown));
+            if shown != Shown::Picture {
+                wanted.extend(self.possible_keys(viewer, shown));
             }
         }
         if !wanted.is_empty() {
@@ -154,6 +173,64 @@ impl SkyRenderer {
                 inspections,
                 keys: &keys,
             },
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::driven::{Driven, camera, view};
+    use super::*;
+    use crate::config::PlacedCell;
+    use serde_json::json;
+    use std::time::{Duration, Instant};
+
+    const WALKER: ViewerId = ViewerId(1);
+
+    #[test]
+    fn who_walks_away_from_the_reference_goes_on_seeing_what_was_asked_for() {
+        let document = json!({"version": 1, "wind": {"speed_m_per_s": 0}, "layers": [
+            {"name": "low", "density": {"model": "homogeneous", "shape":
+             {"form": "sphere", "center_m": [0, 2000, -3000], "radius_m": 900}}}]});
+        let plaza = PlacedCell {
+            name: "plaza".into(),
+            center_m: [0.0, 2.0, 0.0],
+            radius_m: 2_000.0,
+        };
+        let mut driven = Driven::new(16, &document, &[plaza]);
+        let mut asked = view([64, 36], camera(0.0, 0.0));
+        asked.show = Show::Transmittance;
+        driven.renderer.join(WALKER, asked);
+        driven.settle();
+        let shown = |driven: &Driven| {
+            driven
+                .renderer
+                .shown_to(&driven.renderer.viewers[&WALKER])
+                .0
+        };
+        let begun = Instant::now();
+        let is_made = |driven: &Driven| {
+            let (renderer, viewer) = (&driven.renderer, &driven.renderer.viewers[&WALKER]);
+            let keys = renderer.possible_keys(viewer, shown_of(viewer.view.show));
+            keys.iter()
+                .all(|key| renderer.pipelines.get(*key).is_some())
+        };
+        while !is_made(&driven) {
+            driven.renderer.take_views();
+            assert!(begun.elapsed() < Duration::from_secs(60), "never made");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        assert_ne!(shown(&driven), Shown::Picture);
+        driven.go(WALKER, 1_500.0);
+        driven.settle();
+        assert_ne!(
+            shown(&driven),
+            Shown::Picture,
+            "{:?}",
+            driven
+                .renderer
+                .shown_to(&driven.renderer.viewers[&WALKER])
+                .1
         );
     }
 }
