@@ -297,12 +297,10 @@ gpu_struct! {
         skip_range_m: f32,
         /// Index in the map array.
         map_index: u32,
-        /// Altitude of the proxy sphere, m.
+        /// Mean altitude of its clouds, m.
         proxy_altitude_m: f32,
         /// Unit vector along the fibres of a sheet, x and z.
         fibre_axis: [f32; 2],
-        /// Centre of the octahedral addresses in the cell's frame, m.
-        anchor: [f32; 3],
         /// Shortest step inside cloud, m.
         step_min_m: f32,
         /// Step per distance from the ray's origin.
@@ -310,8 +308,8 @@ gpu_struct! {
         /// Largest number of lit samples of a ray.
         steps_max: u32,
         /// Padding.
-        _pad_air: [u32; 2],
-        /// Mean extinction of the air up to the proxy sphere, 1/m.
+        _pad_air: u32,
+        /// Mean extinction of the air up to that altitude, 1/m.
         air_extinction_per_m: [f32; 3],
         /// A ray stops below this transmittance; 0: never.
         transmittance_min: f32,
@@ -357,6 +355,40 @@ gpu_struct! {
         sun_depth_bend: [f32; 3],
         /// 1; 0 where air in front of the layer is left out.
         has_haze: f32,
+    }
+}
+
+gpu_struct! {
+    /// Which part of a ray through a layer counts.
+    Part {
+        /// Lower altitude, m.
+        low_altitude_m: f32,
+        /// Upper altitude, m.
+        high_altitude_m: f32,
+        /// Least distance from the ray's origin, m.
+        near_m: f32,
+        /// Largest distance from the ray's origin, m.
+        far_m: f32,
+    }
+}
+
+gpu_struct! {
+    /// A surface on which a part of a layer is kept.
+    Proxy {
+        /// Centre of the octahedral addresses in the cell's frame, m.
+        anchor: [f32; 3],
+        /// Altitude of the sphere, m.
+        altitude_m: f32,
+        /// What of a ray is kept.
+        part: Part,
+        /// Index of the layer.
+        layer: u32,
+        /// Fills to 16 bytes.
+        pad_x: u32,
+        /// Fills to 16 bytes.
+        pad_y: u32,
+        /// Fills to 16 bytes.
+        pad_z: u32,
     }
 }
 
@@ -409,6 +441,8 @@ gpu_struct! {
         light: Light,
         /// The layers.
         layers: [Layer; 4],
+        /// Proxies of one layer after another, each with as many.
+        proxies: [Proxy; 16],
         /// Moon and stars.
         night: Night,
     }
@@ -469,8 +503,8 @@ gpu_struct! {
         texels_per_side: f32,
         /// Slot in the atlas.
         slot: u32,
-        /// Index of the layer.
-        layer: u32,
+        /// Index among the scene's proxies.
+        proxy: u32,
         /// Index of the jittered sample.
         sample_index: u32,
         /// Share of the sample in the new value; 1 replaces.
@@ -491,8 +525,8 @@ gpu_struct! {
         texels_per_side: f32,
         /// Slot in the atlas.
         slot: u32,
-        /// Index of the layer.
-        layer: u32,
+        /// Index among the scene's proxies.
+        proxy: u32,
         /// Padding.
         _pad_end: u32,
     }
@@ -636,8 +670,8 @@ gpu_struct! {
         up: [f32; 3],
         /// Share of the sample in the pixel's new value.
         sample_weight: f32,
-        /// Page tables of the layers.
-        tables: [PageTable; 4],
+        /// Page tables of the proxies.
+        tables: [PageTable; 16],
         /// First row of a strip.
         first_row: u32,
         /// Angle of a pixel at the middle of the picture, rad.

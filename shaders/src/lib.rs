@@ -196,6 +196,8 @@ pub struct Features {
     pub octave_vectors: u32,
     /// Layers that are composited, 0 to 4.
     pub layers: u32,
+    /// Parts that each layer is kept in, 1 to 4 (composite of the cache).
+    pub proxies: u32,
     /// How density comes about.
     pub density: Density,
     /// Catmull-Rom instead of bilinear reads of the cache.
@@ -245,6 +247,7 @@ impl Default for Features {
         Self {
             octave_vectors: 1,
             layers: 1,
+            proxies: 1,
             density: Density::Weather,
             catmull_rom: true,
             linear_output: false,
@@ -284,6 +287,7 @@ impl Features {
             (0..16u32).map(move |bits| Self {
                 octave_vectors: count.max(1),
                 layers: count,
+                proxies: 1 + (bits + count) % 4,
                 density: densities[((bits + count) % 4) as usize],
                 catmull_rom: bits & 1 != 0,
                 exact_interpolation: bits & 1 != 0,
@@ -322,6 +326,10 @@ impl Features {
             (
                 "LAYERS".to_owned(),
                 ShaderDefValue::UInt(self.layers.min(4)),
+            ),
+            (
+                "PROXIES".to_owned(),
+                ShaderDefValue::UInt(self.proxies.clamp(1, 4)),
             ),
             (
                 "WINDOW_FRAMES".to_owned(),

@@ -104,6 +104,8 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::Light>(Kernel::MarchTexels);
     check::<layout::Diffusion>(Kernel::MarchTexels);
     check::<layout::Layer>(Kernel::MarchTexels);
+    check::<layout::Part>(Kernel::MarchTexels);
+    check::<layout::Proxy>(Kernel::MarchTexels);
     check::<layout::Night>(Kernel::MarchTexels);
     check::<layout::Scene>(Kernel::MarchTexels);
     check::<layout::TileWork>(Kernel::MarchTexels);

@@ -105,3 +105,34 @@ fn a_box_high_above_its_proxy_sphere_stands_where_it_is_seen_from_aside() -> any
     assert!(wrong.flip > 3.0 * searched.flip, "{wrong:?}");
     Ok(())
 }
+
+#[test]
+fn a_layer_in_slabs_looks_whole_from_the_reference_and_stands_better_beside_it() -> anyhow::Result<()>
+{
+    let mut still = renderer(Arc::default())?;
+    let of = |offset_m, slabs| StillSettings {
+        slabs,
+        ..cached(offset_m, StillSettings::default().parallax_steps)
+    };
+    let whole = picture(&mut still, &of([0.0; 3], 1))?;
+    for slabs in 2..=4 {
+        let cut = picture(&mut still, &of([0.0; 3], slabs))?;
+        let apart = distance(&whole, &cut)?;
+        println!("{slabs} slabs: {apart:?}");
+        assert!(apart.flip < 0.01, "{slabs} slabs: {apart:?}");
+    }
+    let own = StillSettings {
+        renderer: RendererKind::ScreenSpace,
+        samples: SAMPLES,
+        ..StillSettings::default()
+    };
+    let own = picture(&mut still, &own)?;
+    let mut beside = Vec::new();
+    for slabs in [1, 4] {
+        let seen = picture(&mut still, &of([3_000.0, 0.0, 0.0], slabs))?;
+        beside.push(distance(&own, &seen)?);
+        println!("{slabs} slabs, 3 km aside: {:?}", beside.last());
+    }
+    assert!(beside[1].flip < beside[0].flip, "{beside:?}");
+    Ok(())
+}

@@ -27,13 +27,13 @@ pub const BYTES_PER_TEXEL: u64 = 12;
 /// A tile that no frame has shown for so long may lose its slot.
 pub const UNSEEN_FRAMES: u64 = 20;
 
-/// One proxy sphere: a layer of the scene in a cell.
+/// One proxy sphere: a part of a layer of the scene in a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct SphereId {
     /// The cell.
     pub cell: CellId,
-    /// Index among the active layers.
-    pub layer: u32,
+    /// Index among the scene's proxies.
+    pub proxy: u32,
 }
 
 /// One tile that takes a sample now.
@@ -126,11 +126,11 @@ impl Caches {
         self.spheres.values().all(SphereCache::is_refreshed)
     }
 
-    /// The sky has moved, each layer by some steps, each of which is just not seen. Texels are mixed towards the present
+    /// The sky has moved, what each proxy keeps by some steps, each of which is just not seen. Texels are mixed towards the present
     /// when it is their turn; nothing is thrown away.
-    pub fn age_by(&mut self, steps_of_layers: &[f64]) {
+    pub fn age_by(&mut self, steps_of_proxies: &[f64]) {
         for (id, sphere) in &mut self.spheres {
-            if let Some(steps) = steps_of_layers.get(id.layer as usize) {
+            if let Some(steps) = steps_of_proxies.get(id.proxy as usize) {
                 sphere.age_by(*steps);
             }
         }
@@ -141,19 +141,19 @@ impl Caches {
         self.is_calm = is_calm;
     }
 
-    /// Gives a cell other layers: the one at place i is the one that was at `kept[i]`, or a new one. What is not kept gives
+    /// Gives a cell other proxies: the one at place i is the one that was at `kept[i]`, or a new one. What is not kept gives
     /// its slots back.
-    pub fn keep_layers(&mut self, cell: CellId, kept: &[Option<u32>]) {
+    pub fn keep_proxies(&mut self, cell: CellId, kept: &[Option<u32>]) {
         let mut old: BTreeMap<u32, SphereCache> = BTreeMap::new();
         let ids: Vec<SphereId> = self.spheres_of(cell).map(|(id, _)| *id).collect();
         for id in ids {
             if let Some(sphere) = self.spheres.remove(&id) {
-                old.insert(id.layer, sphere);
+                old.insert(id.proxy, sphere);
             }
         }
-        for (layer, kept) in (0..).zip(kept) {
+        for (proxy, kept) in (0..).zip(kept) {
             if let Some(sphere) = kept.and_then(|kept| old.remove(&kept)) {
-                self.spheres.insert(SphereId { cell, layer }, sphere);
+                self.spheres.insert(SphereId { cell, proxy }, sphere);
             }
         }
         for mut sphere in old.into_values() {
@@ -170,7 +170,7 @@ impl Caches {
         for id in ids {
             if let Some(sphere) = self.spheres.get_mut(&id) {
                 let fresh = sphere.like();
-                taken.insert(id.layer, std::mem::replace(sphere, fresh));
+                taken.insert(id.proxy, std::mem::replace(sphere, fresh));
             }
         }
         taken

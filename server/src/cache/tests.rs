@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 const SPHERE: SphereId = SphereId {
     cell: CellId(1),
-    layer: 0,
+    proxy: 0,
 };
 
 fn request(key: TileKey) -> TileRequest {
@@ -276,7 +276,7 @@ proptest! {
     ) {
         let mut caches = Caches::new(limit, 2);
         for (x, y, count, layer) in steps {
-            let id = SphereId { cell: CellId(1 + layer), layer: 0 };
+            let id = SphereId { cell: CellId(1 + layer), proxy: 0 };
             let wanted: Vec<_> = (0..count).map(|i| request(tile(1, (x + i) % 10, y))).collect();
             caches.sphere_mut(id).set_wanted(&[], &wanted);
             let updates = caches.plan(8, at_origin);
@@ -384,9 +384,9 @@ fn a_sky_far_from_the_one_that_was_marched_starts_anew() {
 
 #[test]
 fn layers_that_stay_keep_their_tiles_and_those_that_go_give_them_back() {
-    let id = |layer| SphereId {
+    let id = |proxy| SphereId {
         cell: CellId(1),
-        layer,
+        proxy,
     };
     let mut caches = Caches::new(10, 1);
     for layer in 0..3 {
@@ -396,7 +396,7 @@ fn layers_that_stay_keep_their_tiles_and_those_that_go_give_them_back() {
     updates_until_converged(&mut caches);
     assert_eq!(caches.resident(), 6);
     // The last comes first, a new one is second, the first third; the middle one goes.
-    caches.keep_layers(CellId(1), &[Some(2), None, Some(0)]);
+    caches.keep_proxies(CellId(1), &[Some(2), None, Some(0)]);
     assert_eq!(caches.resident(), 4);
     let resident = |layer| caches.sphere(id(layer)).map_or(0, SphereCache::resident);
     assert_eq!([0, 1, 2].map(resident), [3, 0, 1]);

@@ -54,6 +54,7 @@ pub fn composite_key(
         features: Features {
             octave_vectors: 1,
             layers: blend.layers as u32,
+            proxies: if screen_space { 1 } else { blend.proxies },
             own_phases: blend.own_phases,
             overlap: blend.overlap,
             density: Density::Homogeneous,
@@ -129,6 +130,7 @@ pub fn ground_key(key: PipelineKey) -> PipelineKey {
     PipelineKey {
         features: Features {
             layers: 0,
+            proxies: 1,
             own_phases: false,
             overlap: false,
             catmull_rom: false,

@@ -8,6 +8,7 @@ mod tests;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
+use crate::march::PROXIES_PER_LAYER_MAX;
 use crate::quality::PARALLAX_STEPS_MAX;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -39,6 +40,8 @@ pub const SAMPLES: NumberRange = NumberRange::new(1.0, 16.0);
 pub const CACHE_MEMORY_MIB: NumberRange = NumberRange::new(16.0, 65_536.0);
 /// Places of a search for what texels show.
 pub const PARALLAX_STEPS: NumberRange = NumberRange::new(0.0, PARALLAX_STEPS_MAX as f64);
+/// Slabs that a layer may be cut into.
+pub const SLABS: NumberRange = NumberRange::new(1.0, PROXIES_PER_LAYER_MAX as f64);
 /// Steps of the march through the clouds.
 pub const MARCH_STEPS: NumberRange = NumberRange::new(1.0, 4096.0);
 
@@ -85,6 +88,8 @@ pub struct RenderConfig {
     /// Most places along a ray at which viewers away from a reference look for what texels show. Without: what the quality
     /// says, and less on a software driver.
     pub parallax_steps: Option<u32>,
+    /// Slabs of altitude that each layer is cut into, each kept on a proxy sphere of its own, 1 to 4.
+    pub slabs: u32,
     /// Where noise volumes are kept between runs.
     pub noise_cache_dir: PathBuf,
     /// Where the files of voxels lie that scenes name: `grids` in the folder of the state.
@@ -130,6 +135,7 @@ impl RenderConfig {
             march_steps: None,
             frame_filter: None,
             parallax_steps: None,
+            slabs: 1,
             grids_dir: noise_cache_dir.join("grids"),
             maps_dir: noise_cache_dir.join("maps"),
             noise_cache_dir,
@@ -146,6 +152,7 @@ impl RenderConfig {
             "march_steps",
             "frame_filter",
             "parallax_steps",
+            "slabs",
             "noise_cache_dir",
         ])?;
         Ok(Self {
@@ -177,6 +184,7 @@ impl RenderConfig {
                 }
                 None => default.parallax_steps,
             },
+            slabs: count(&members, "slabs", SLABS, default.slabs)?,
             noise_cache_dir: members
                 .optional::<String>("noise_cache_dir")?
                 .map_or(default.noise_cache_dir, PathBuf::from),

@@ -43,6 +43,7 @@ const KEYS: &[(&str, Kind)] = &[
     ("render/march_steps", Kind::Number),
     ("render/frame_filter", Kind::Text),
     ("render/parallax_steps", Kind::Number),
+    ("render/slabs", Kind::Number),
     ("render/noise_cache_dir", Kind::Text),
 ];
 

@@ -114,7 +114,7 @@ impl SkyRenderer {
                     texel: texel.map(|t| GUTTER + t),
                     texels_per_side: TileKey::texels_per_side(key.level) as f32,
                     slot: slot.0,
-                    layer: sphere.layer,
+                    proxy: sphere.proxy,
                     ..AuditWork::default()
                 })
             })
@@ -130,11 +130,11 @@ impl SkyRenderer {
     /// Where a sphere's texels lie, and where its rays start, in the cell's frame.
     fn proxy_and_eye(&self, sphere: SphereId) -> Option<(ProxySphere, DVec3)> {
         let cell = self.active_cells.get(&sphere.cell)?;
-        let layer = self.active.get(sphere.layer as usize)?;
+        let kept = self.proxies.get(sphere.proxy as usize)?;
         let proxy = ProxySphere {
             frame: cell.frame,
-            anchor: self.anchor_m(cell, sphere.layer as usize),
-            altitude_m: layer.proxy_altitude_m,
+            anchor: self.anchor_m(cell, kept.layer),
+            altitude_m: kept.altitude_m,
             reference: cell.frame.from_world(cell.reference_m),
             seen_between_m: None,
         };
@@ -145,7 +145,7 @@ impl SkyRenderer {
     pub(super) fn warm_up_audit(&mut self, update: &TileUpdate) {
         let work = AuditWork {
             slot: update.slot.0,
-            layer: update.sphere.layer,
+            proxy: update.sphere.proxy,
             texels_per_side: TileKey::texels_per_side(update.key.level) as f32,
             ..AuditWork::default()
         };
@@ -153,7 +153,7 @@ impl SkyRenderer {
     }
 
     fn march_audit(&mut self, sphere: SphereId, work: &[AuditWork]) -> Option<()> {
-        let scene_index = self.active.get(sphere.layer as usize)?.scene_index;
+        let scene_index = self.proxies.get(sphere.proxy as usize)?.scene_index;
         let cell = self.active_cells.get(&sphere.cell)?;
         let mut scene = finer(cell.buffers.scene()?, self.scene.light().sun_steps());
         if cell.buffers.sun.is_some() {
@@ -198,7 +198,7 @@ impl SkyRenderer {
             self.light.irradiance_at_clouds,
             self.light.mean_radiance,
             self.light
-                .air_extinction_per_m(self.active[sphere.layer as usize].proxy_altitude_m),
+                .air_extinction_per_m(self.proxies[sphere.proxy as usize].altitude_m),
         );
         let (epoch, answer) = (self.audit.window.epoch(), self.audit.answer.clone());
         self.audit.march.read(target, work.len(), move |samples| {

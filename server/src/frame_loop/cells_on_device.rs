@@ -5,7 +5,9 @@ use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
 use crate::composite::view_frustum;
-use crate::march::{ActiveLayer, CellBuffers, CellFrame, MarchSettings, scene_uniform};
+use crate::march::{
+    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, scene_uniform,
+};
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, Scene, ViewerId};
 use std::time::{Duration, Instant};
@@ -284,14 +286,14 @@ impl SkyRenderer {
     /// Reference point of a sphere in the frame that drifts with its layer.
     pub(super) fn drifting_reference(&self, sphere: SphereId) -> Option<DVec3> {
         let cell = self.active_cells.get(&sphere.cell)?;
-        let layer = self.active.get(sphere.layer as usize)?;
-        Some(cell.reference_m - self.drifts[layer.scene_index].with_y(0.0))
+        let proxy = self.proxies.get(sphere.proxy as usize)?;
+        Some(cell.reference_m - self.drifts[proxy.scene_index].with_y(0.0))
     }
 
     /// Anchor of a sphere in the frame that drifts with its layer, where it stays.
     pub(super) fn drifting_anchor(&self, sphere: SphereId) -> Option<DVec3> {
         let cell = self.active_cells.get(&sphere.cell)?;
-        cell.drifting_anchor(sphere.layer as usize)
+        cell.drifting_anchor(self.proxies.get(sphere.proxy as usize)?.layer)
     }
 
     /// Brings everything that the caches and the device know of cells up to the present: anchors that have drifted,
@@ -354,8 +356,10 @@ impl SkyRenderer {
             cell.settings,
             &cell.frame,
             &self.drifts,
-            &anchors,
         );
+        for (place, proxy) in self.proxies.iter().enumerate().take(PROXIES_MAX) {
+            uniform.proxies[place] = proxy.uniform(anchors[proxy.layer]);
+        }
         uniform.exposure *= cell.auto_exposure_ev().exp2() as f32;
         cell.buffers.set_scene(&self.gpu, &uniform);
         let drifted = windy && cell.looked_up.elapsed() >= REQUESTS_INTERVAL;
@@ -364,13 +368,12 @@ impl SkyRenderer {
             let eye = cell.frame.from_world(cell.reference_m);
             cell.buffers.set_reference(&self.gpu, eye);
             let spheres: Vec<ProxySphere> = self
-                .active
+                .proxies
                 .iter()
-                .zip(&anchors)
-                .map(|(layer, anchor)| ProxySphere {
+                .map(|proxy| ProxySphere {
                     frame: cell.frame,
-                    anchor: *anchor,
-                    altitude_m: layer.proxy_altitude_m,
+                    anchor: anchors[proxy.layer],
+                    altitude_m: proxy.altitude_m,
                     reference: eye,
                     seen_between_m: None,
                 })
@@ -396,12 +399,10 @@ impl SkyRenderer {
                     let frustum = view_frustum(&camera, size, &cell.frame);
                     *requests = spheres
                         .iter()
-                        .zip(&self.active)
-                        .map(|(sphere, layer)| {
-                            let layer = &self.scene.layers()[layer.scene_index];
-                            let between_m = [layer.base_altitude_m(), layer.top_altitude_m()];
+                        .zip(&self.proxies)
+                        .map(|(sphere, proxy)| {
                             let sphere = ProxySphere {
-                                seen_between_m: (steps > 0).then_some(between_m),
+                                seen_between_m: (steps > 0).then_some(proxy.between_m),
                                 ..*sphere
                             };
                             requested_tiles(&frustum, &sphere, mip_bias)
@@ -412,11 +413,11 @@ impl SkyRenderer {
             }
             // Nobody who reads the cache: nobody who needs its coarse level.
             let used = !read.is_empty();
-            for (layer, coarse) in cell.coarse.iter().enumerate() {
-                let requests = read.iter().filter_map(|r| r.get(layer)).flatten();
+            for (proxy, coarse) in cell.coarse.iter().enumerate() {
+                let requests = read.iter().filter_map(|r| r.get(proxy)).flatten();
                 let sphere = self.caches.sphere_mut(SphereId {
                     cell: id,
-                    layer: layer as u32,
+                    proxy: proxy as u32,
                 });
                 sphere.set_samples(cell.samples);
                 sphere.set_wanted(if used { coarse } else { &[] }, requests);
@@ -424,9 +425,9 @@ impl SkyRenderer {
             cell.requests_changed = false;
         }
         let drifts = windy || self.evolution_max_m_per_s() > 0.0;
-        for (layer, active) in (0..).zip(&self.active) {
-            let sphere = self.caches.sphere_mut(SphereId { cell: id, layer });
-            sphere.set_evolved(self.drifts[active.scene_index].y);
+        for (proxy, kept) in (0..).zip(&self.proxies) {
+            let sphere = self.caches.sphere_mut(SphereId { cell: id, proxy });
+            sphere.set_evolved(self.drifts[kept.scene_index].y);
             sphere.set_drifts(drifts);
         }
         let now = Instant::now();
@@ -437,16 +438,16 @@ impl SkyRenderer {
             cell.ages_written = now;
         }
         let shows_ages = self.ages_are_shown(id).then_some(now);
-        let changed = (0..self.active.len() as u32).any(|layer| {
+        let changed = (0..self.proxies.len() as u32).any(|proxy| {
             self.caches
-                .sphere_mut(SphereId { cell: id, layer })
+                .sphere_mut(SphereId { cell: id, proxy })
                 .take_tables_changed()
         });
         if changed || ages.is_some() {
-            let tables: Vec<_> = (0..self.active.len() as u32)
-                .map(|layer| {
+            let tables: Vec<_> = (0..self.proxies.len() as u32)
+                .map(|proxy| {
                     self.caches
-                        .sphere_mut(SphereId { cell: id, layer })
+                        .sphere_mut(SphereId { cell: id, proxy })
                         .page_tables(shows_ages)
                 })
                 .collect();
@@ -464,11 +465,11 @@ impl SkyRenderer {
     /// Whether the coarse level of a cell shows the present sky.
     pub(super) fn coarse_is_ready(&self, id: CellId) -> bool {
         self.active_cells.get(&id).is_some_and(|cell| {
-            cell.coarse.len() == self.active.len()
-                && cell.coarse.iter().enumerate().all(|(layer, tiles)| {
+            cell.coarse.len() == self.proxies.len()
+                && cell.coarse.iter().enumerate().all(|(proxy, tiles)| {
                     let id = SphereId {
                         cell: id,
-                        layer: layer as u32,
+                        proxy: proxy as u32,
                     };
                     self.caches
                         .sphere(id)
@@ -479,10 +480,10 @@ impl SkyRenderer {
 
     /// Whether some tile that is asked for of a cell does not show the present sky yet.
     pub(super) fn is_coarse(&self, cell: CellId, requests: &[Vec<TileRequest>]) -> bool {
-        requests.iter().enumerate().any(|(layer, tiles)| {
+        requests.iter().enumerate().any(|(proxy, tiles)| {
             let id = SphereId {
                 cell,
-                layer: layer as u32,
+                proxy: proxy as u32,
             };
             self.caches
                 .sphere(id)

@@ -11,7 +11,7 @@ use crate::composite::{
 };
 use crate::config::FrameFilter;
 use crate::gpu::{Gpu, GpuError, PipelineKey, Pipelines, ReadbackRing};
-use crate::march::{EXPOSURE_AT_ZERO_EV, LayerBlend};
+use crate::march::EXPOSURE_AT_ZERO_EV;
 use skycell_protocol::scene::AutoExposure;
 use skycell_protocol::{Camera, CellId, FrameSize, RendererKind};
 use std::sync::Arc;
@@ -147,7 +147,7 @@ fn mean_log2(texels: &[f32]) -> f64 {
 impl SkyRenderer {
     /// The composite that meters: linear, of the cache.
     fn meter_key(&self) -> PipelineKey {
-        let blend = LayerBlend::of(&self.scene, &self.active);
+        let blend = self.blend();
         composite_key(&self.scene, FrameFilter::Bilinear, blend, false, true)
     }
 
@@ -231,7 +231,7 @@ impl SkyRenderer {
         let size = meter.picture.size();
         let frustum = view_frustum(&camera, size, &cell.frame);
         let mut view = view_uniform(&frustum, &cell.frame, size);
-        let tables = view.tables.iter_mut().take(self.active.len());
+        let tables = view.tables.iter_mut().take(self.proxies.len());
         for (layer, table) in tables.enumerate() {
             *table = cell.buffers.table(layer, 0);
         }

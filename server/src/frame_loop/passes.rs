@@ -9,7 +9,7 @@ use crate::clock::unix_now_us;
 use crate::composite::{CompositeInputs, Picture, PictureFade, dither_shift, shown_key};
 use crate::gpu::{GpuError, PipelineKey, TimedPass};
 use crate::march::{
-    ActiveLayer, BATCH_TILES_MAX, LayerBlend, MarchedPixels, PixelStrip, TexelGroup, layer_features,
+    ActiveLayer, BATCH_TILES_MAX, MarchedPixels, PixelStrip, TexelGroup, layer_features,
 };
 use glam::DVec3;
 use skycell_protocol::{CellId, FrameSequence, RendererKind, Scene, ViewerId};
@@ -38,7 +38,7 @@ impl SkyRenderer {
             .active_cells
             .keys()
             .flat_map(|cell| {
-                (0..self.active.len() as u32).map(|layer| SphereId { cell: *cell, layer })
+                (0..self.proxies.len() as u32).map(|proxy| SphereId { cell: *cell, proxy })
             })
             .filter_map(|sphere| Some((sphere, self.drifting_reference(sphere)?)))
             .collect();
@@ -62,7 +62,7 @@ impl SkyRenderer {
         let groups: Vec<TexelGroup<'_>> = by_sphere
             .into_iter()
             .filter_map(|(sphere, updates)| {
-                let scene_index = self.active.get(sphere.layer as usize)?.scene_index;
+                let scene_index = self.proxies.get(sphere.proxy as usize)?.scene_index;
                 let cell = self.active_cells.get(&sphere.cell)?;
                 Some(TexelGroup {
                     cell: &cell.buffers,
@@ -71,7 +71,7 @@ impl SkyRenderer {
                         scene_index,
                         &cell.settings,
                     )),
-                    layer: sphere.layer,
+                    proxy: sphere.proxy,
                     updates,
                 })
             })
@@ -291,7 +291,7 @@ impl SkyRenderer {
         let shafts = self.shaft_reader(self.cell_shown_by(id));
         let screen_space = viewer.kind == RendererKind::ScreenSpace;
         let filter = viewer.quality.settings.frame_filter;
-        let blend = LayerBlend::of(&self.scene, &self.active);
+        let blend = self.blend();
         let plain = frame_key(&self.gpu, &self.scene, filter, blend, screen_space);
         let plain = self.key_for(viewer, id, plain);
         let cell = self.active_cells.get_mut(&id)?;

@@ -76,11 +76,11 @@ impl SkyRenderer {
         cell.take_over(&mut old);
         let stand_in = self.keep_for_viewers(id);
         // What was marched since the last frame is read, too.
-        let layers = 0..self.active.len() as u32;
-        let tables: Vec<_> = layers
+        let proxies = 0..self.proxies.len() as u32;
+        let tables: Vec<_> = proxies
             .clone()
-            .map(|layer| {
-                let sphere = self.caches.sphere_mut(SphereId { cell: id, layer });
+            .map(|proxy| {
+                let sphere = self.caches.sphere_mut(SphereId { cell: id, proxy });
                 sphere.page_tables(None)
             })
             .collect();
@@ -88,13 +88,13 @@ impl SkyRenderer {
         let mut spheres = self.caches.take_spheres(id);
         // Asks for what is wanted about the new anchors.
         self.refresh_cell(id, &mut cell, self.wind_speed_max_m_per_s() > 0.0);
-        for layer in layers {
-            if let Some(sphere) = spheres.remove(&layer) {
-                let sphere_id = SphereId { cell: id, layer };
+        for proxy in proxies {
+            if let Some(sphere) = spheres.remove(&proxy) {
+                let sphere_id = SphereId { cell: id, proxy };
                 self.resample(sphere_id, &mut old, &cell, &sphere);
                 match stand_in {
-                    Some(cell) => self.caches.put(SphereId { cell, layer }, sphere),
-                    // The next layer's tiles may take these slots: passes run in their order.
+                    Some(cell) => self.caches.put(SphereId { cell, proxy }, sphere),
+                    // The next proxy's tiles may take these slots: passes run in their order.
                     None => self.caches.release(sphere),
                 }
             }
@@ -107,11 +107,11 @@ impl SkyRenderer {
         self.active_cells.insert(id, cell);
     }
 
-    /// Whether the coarse level of every layer is there and shows what is seen from about where the reference is now: after a
+    /// Whether the coarse level of every proxy is there and shows what is seen from about where the reference is now: after a
     /// jump it shows another place.
     fn can_be_resampled(&self, id: CellId) -> bool {
-        (0..self.active.len() as u32).all(|layer| {
-            let sphere_id = SphereId { cell: id, layer };
+        (0..self.proxies.len() as u32).all(|proxy| {
+            let sphere_id = SphereId { cell: id, proxy };
             let (sphere, reference) = (
                 self.caches.sphere(sphere_id),
                 self.drifting_reference(sphere_id),
@@ -125,7 +125,7 @@ impl SkyRenderer {
         })
     }
 
-    /// Submits the filling of one layer's tiles.
+    /// Submits the filling of one proxy's tiles.
     fn resample(
         &mut self,
         id: SphereId,
@@ -133,27 +133,27 @@ impl SkyRenderer {
         cell: &ActiveCell,
         sphere: &SphereCache,
     ) {
-        let place = id.layer as usize;
-        let Some(layer) = self.active.get(place).copied() else {
+        let place = id.proxy as usize;
+        let Some(kept) = self.proxies.get(place).copied() else {
             return;
         };
         let proxy = |frame: CellFrame, anchor: DVec3| ProxySphere {
             frame,
             anchor,
-            altitude_m: layer.proxy_altitude_m,
+            altitude_m: kept.altitude_m,
             reference: frame.from_world(cell.reference_m),
             seen_between_m: None,
         };
         let way = Readdressed {
-            old: proxy(old.frame, self.anchor_m(old, place)),
-            new: proxy(cell.frame, self.anchor_m(cell, place)),
+            old: proxy(old.frame, self.anchor_m(old, kept.layer)),
+            new: proxy(cell.frame, self.anchor_m(cell, kept.layer)),
         };
-        let reference = cell.reference_m - self.drifts[layer.scene_index].with_y(0.0);
+        let reference = cell.reference_m - self.drifts[kept.scene_index].with_y(0.0);
         let filled = self
             .caches
             .resample(id, sphere, reference, |key| way.places(key));
         self.atlas.fit(&self.gpu, self.caches.slots_needed());
-        let anchor_m = cell.drifting_anchor(place);
+        let anchor_m = cell.drifting_anchor(kept.layer);
         for (key, slot) in &filled {
             let shown_from = self.caches.sphere(id).and_then(|s| s.shown_from(key));
             if let (Some(shown_from), Some(anchor_m)) = (shown_from, anchor_m) {

@@ -28,10 +28,10 @@ use crate::gpu::{
     blend_key,
 };
 use crate::march::{
-    ActiveLayer, Atlas, LayerBlend, MarchSettings, SkyLight, TexelMarch, WINDOW_FRAMES_MAX,
+    ActiveLayer, Atlas, LayerBlend, MarchSettings, Proxy, SkyLight, TexelMarch, WINDOW_FRAMES_MAX,
     active_layers, audit_key, drift_m_per_s, layer_features, pixels_key, placed_sheets,
-    placed_weather, possible_frames, resample_key, resolve_key, sky_light, sun_angular_radius_rad,
-    sun_columns_key, texels_key, window_key,
+    placed_weather, possible_frames, proxies_of, resample_key, resolve_key, sky_light,
+    sun_angular_radius_rad, sun_columns_key, texels_key, window_key,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, FrameSize, RendererKind, Scene, ViewerId};
@@ -97,6 +97,10 @@ pub(super) struct SkyRenderer {
     /// The scene that comes next.
     pub(super) awaited: Option<AwaitedScene>,
     pub(super) active: Vec<ActiveLayer>,
+    /// What keeps them in the caches: as many of each layer, one layer after another.
+    pub(super) proxies: Vec<Proxy>,
+    /// Slabs that each layer is cut into.
+    pub(super) slabs: u32,
     /// The layers with proxy spheres where they would be if the scene had always been so.
     pub(super) ideal_active: Vec<ActiveLayer>,
     pub(super) light: SkyLight,
@@ -147,6 +151,8 @@ impl SkyRenderer {
             scene_revision,
             sky_time: SkyTime::standing(scene.clone()),
             active: Vec::new(),
+            proxies: Vec::new(),
+            slabs: config.slabs,
             ideal_active: Vec::new(),
             drifts: Vec::new(),
             active_cells: BTreeMap::new(),
@@ -236,7 +242,7 @@ impl SkyRenderer {
             || !stand_alike(&active, &self.ideal_active);
         if moved {
             self.ideal_active.clone_from(&active);
-            self.active = active;
+            self.set_active(active);
             self.end_transitions();
             let ids: Vec<CellId> = self.active_cells.keys().copied().collect();
             for id in ids {
@@ -267,6 +273,22 @@ impl SkyRenderer {
         Ok(())
     }
 
+    /// Other layers are shown.
+    pub(super) fn set_active(&mut self, active: Vec<ActiveLayer>) {
+        self.active = active;
+        self.place_proxies();
+    }
+
+    /// Places what keeps the active layers.
+    pub(super) fn place_proxies(&mut self) {
+        self.proxies = proxies_of(&self.scene, &self.active, self.slabs);
+    }
+
+    /// How the composite blends the scene's layers.
+    pub(super) fn blend(&self) -> LayerBlend {
+        LayerBlend::of(&self.scene, &self.active, self.slabs)
+    }
+
     /// Makes the pipelines of a scene that are not there yet.
     pub(super) fn prepare_pipelines(&mut self, scene: &Scene) -> Result<(), GpuError> {
         for key in self.pipeline_keys(scene) {
@@ -278,7 +300,7 @@ impl SkyRenderer {
     /// The pipelines of a scene.
     pub(super) fn pipeline_keys(&self, scene: &Scene) -> Vec<PipelineKey> {
         let active = active_layers(scene);
-        let blend = LayerBlend::of(scene, &active);
+        let blend = LayerBlend::of(scene, &active, self.slabs);
         let most_frames = match self.window_choice {
             WindowChoice::Fixed(plan) => plan.map(|plan| plan.bounded().frames),
             WindowChoice::ByQuality => Some(WINDOW_FRAMES_MAX),
@@ -395,7 +417,7 @@ impl SkyRenderer {
             self.refresh_cells();
             let screen_space = renderer == RendererKind::ScreenSpace;
             for filter in FrameFilter::ALL {
-                let blend = LayerBlend::of(&self.scene, &self.active);
+                let blend = self.blend();
                 let key = frame_key(&self.gpu, &self.scene, filter, blend, screen_space);
                 let picture = Picture::new(&self.gpu, &self.pipelines, size, false);
                 self.composite_still(viewer, &picture, key, None)?;

@@ -246,8 +246,7 @@ impl SkyRenderer {
                     .any(|a| a.scene_index == layer.scene_index)
                     || shell(&self.scene, layer) != shell(&scene, layer)
             });
-        let blend = LayerBlend::of(&self.scene, &self.active);
-        if changes || LayerBlend::of(&scene, &ideal) != blend {
+        if changes || LayerBlend::of(&scene, &ideal, self.slabs) != self.blend() {
             // Made when the document was taken over, but for a blend that no end of a transition has.
             self.prepare_pipelines(&scene)?;
         }
@@ -275,8 +274,8 @@ impl SkyRenderer {
                     ..*layer
                 })
                 .collect();
-            self.active = active;
             self.scene = scene;
+            self.set_active(active);
             self.place_clouds();
             self.inspections = None;
             self.keep_layers(&kept);
@@ -311,31 +310,34 @@ impl SkyRenderer {
 
     /// The texels of each layer are behind by its steps.
     pub(super) fn age_by(&mut self, steps: &Steps) {
-        let of_layers: Vec<f64> = self
-            .active
+        let of_proxies: Vec<f64> = self
+            .proxies
             .iter()
-            .map(|layer| steps.of_layer(self.scene.layers()[layer.scene_index].name()))
+            .map(|proxy| steps.of_layer(self.scene.layers()[proxy.scene_index].name()))
             .collect();
-        self.caches.age_by(&of_layers);
+        self.caches.age_by(&of_proxies);
     }
 
     /// Gives every cell the present layers: of those that were there before, at the given places, the texels stay.
     fn keep_layers(&mut self, kept: &[Option<usize>]) {
         let ids: Vec<CellId> = self.active_cells.keys().copied().collect();
         for id in ids {
+            let slabs = self.slabs;
             let places: Vec<Option<u32>> = kept
                 .iter()
-                .map(|kept| kept.map(|place| place as u32))
+                .flat_map(|kept| {
+                    (0..slabs).map(move |slab| kept.map(|place| place as u32 * slabs + slab))
+                })
                 .collect();
-            self.caches.keep_layers(id, &places);
+            self.caches.keep_proxies(id, &places);
             if let Some(mut cell) = self.active_cells.remove(&id) {
                 self.keep_anchors(&mut cell, kept);
                 self.active_cells.insert(id, cell);
             }
-            for layer in 0..kept.len() as u32 {
+            for proxy in 0..self.proxies.len() as u32 {
                 // Made now, so that its table is written with the others'.
                 self.caches
-                    .sphere_mut(SphereId { cell: id, layer })
+                    .sphere_mut(SphereId { cell: id, proxy })
                     .tables_change();
             }
         }

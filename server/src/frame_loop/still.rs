@@ -12,7 +12,7 @@ use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{DeviceInventory, Gpu, GpuError, PipelineKey, TimedPass};
 use crate::gpu::{read_buffer_blocking, reads_of};
 use crate::march::{
-    CellFrame, LISTED_VALUES, LayerBlend, MarchedPixels, layer_features, pixels_key,
+    CellFrame, LISTED_VALUES, MarchedPixels, PROXIES_PER_LAYER_MAX, layer_features, pixels_key,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, ViewerId};
@@ -331,7 +331,7 @@ impl StillRenderer {
         let renderer = &self.renderer;
         let viewer = renderer.viewers.get(&VIEWER);
         [false, true].map(|linear| {
-            let blend = LayerBlend::of(&self.renderer.scene, &self.renderer.active);
+            let blend = self.renderer.blend();
             let key = composite_key(
                 &self.renderer.scene,
                 settings.filter,
@@ -514,6 +514,8 @@ impl Start {
         renderer.caches.set_samples(settings.samples);
         renderer.mip_bias = f64::from(settings.mip_bias);
         renderer.parallax_steps = settings.parallax_steps;
+        renderer.slabs = settings.slabs.clamp(1, PROXIES_PER_LAYER_MAX);
+        renderer.place_proxies();
         renderer.window_choice = WindowChoice::Fixed(settings.window);
         // Pipelines for other settings.
         let (scene, revision) = (renderer.scene.clone(), renderer.scene_revision + 1);

@@ -33,6 +33,8 @@ pub struct StillSettings {
     pub filter: FrameFilter,
     /// Most places along a ray at which a viewer away from the reference looks for what texels show; 0: proxy spheres alone.
     pub parallax_steps: u32,
+    /// Slabs of altitude that each layer is cut into, each kept on a proxy sphere of its own, 1 to 4.
+    pub slabs: u32,
     /// Reference point of the cache, seen from the eye: x, altitude, z.
     pub reference_offset_m: [f64; 3],
     /// What the picture shows.
@@ -56,6 +58,7 @@ impl Default for StillSettings {
             mip_bias: 0.0,
             filter: FrameFilter::CatmullRom,
             parallax_steps: default_parallax_steps(),
+            slabs: 1,
             reference_offset_m: [0.0; 3],
             show: Show::Picture,
             codec: Codec::Png,

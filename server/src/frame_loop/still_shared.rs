@@ -6,7 +6,6 @@ use super::still_settings::StillSettings;
 use crate::cells::{CellLimit, Cells};
 use crate::composite::{Picture, composite_key, ground_key};
 use crate::gpu::{GpuError, PipelineKey, TimedPass, read_buffer_blocking};
-use crate::march::LayerBlend;
 use serde::{Deserialize, Serialize};
 use skycell_protocol::{Camera, FrameSize, RendererKind, ViewerId};
 use skycell_shaders::Features;
@@ -67,7 +66,7 @@ impl StillRenderer {
             };
             renderer.join(*id, view);
         }
-        let blend = LayerBlend::of(&renderer.scene, &renderer.active);
+        let blend = renderer.blend();
         let key = composite_key(&renderer.scene, settings.filter, blend, false, false);
         let key = PipelineKey {
             features: Features {

@@ -129,7 +129,6 @@ impl SkyRenderer {
     fn new_sun_volume(&mut self, inputs: &GenerationInputs) -> Held {
         let size = self.settings.sun_volume.fitting(self.active.len());
         let volume = Generation::new(size, inputs);
-        let anchors = vec![DVec3::ZERO; self.active.len()];
         let scenes: Vec<_> = (0..volume.layers())
             .map(|layer| {
                 // In the field's own coordinates: where no wind has blown.
@@ -144,7 +143,6 @@ impl SkyRenderer {
                     self.settings,
                     &CellFrame::at(at, self.scene.planet().radius_m()),
                     &vec![still; self.scene.layers().len()],
-                    &anchors,
                 )
             })
             .collect();

@@ -155,7 +155,7 @@ impl SkyRenderer {
             .iter()
             .filter(|(_, viewer)| {
                 viewer.approaches.is_some_and(|since| {
-                    let has_requests = viewer.requests.len() == self.active.len();
+                    let has_requests = viewer.requests.len() == self.proxies.len();
                     let is_late = now.duration_since(since) > APPROACH_MAX;
                     has_requests
                         && self.coarse_is_ready(viewer.cell)
@@ -234,9 +234,9 @@ impl SkyRenderer {
         let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
         view.dither_shift = dither_shift(viewer.view.codec);
         view.parallax_steps = parallax_steps(&self.scene, &self.active, viewer, cell.reference_m);
-        for (layer, requests) in requests.iter().enumerate().take(view.tables.len()) {
+        for (proxy, requests) in requests.iter().enumerate().take(view.tables.len()) {
             let finest = requests.iter().map(|r| r.key.level).max().unwrap_or(0);
-            view.tables[layer] = cell.buffers.table(layer, finest);
+            view.tables[proxy] = cell.buffers.table(proxy, finest);
         }
         Some(view)
     }

@@ -2,6 +2,7 @@
 
 use super::atlas::Atlas;
 use super::cell_buffers::CellBuffers;
+use super::proxies::PROXIES_MAX;
 use super::sun_columns::without_own;
 use super::texels::write;
 use crate::frame_loop::interface::FramePixels;
@@ -143,7 +144,8 @@ impl AuditMarch {
             .as_ref()
             .filter(|_| group.features.sun_layers > 0)
             .map(|sun| {
-                let others = without_own(sun.seen(), work[0].layer);
+                let own = group.scene.proxies[work[0].proxy as usize % PROXIES_MAX].layer;
+                let others = without_own(sun.seen(), own);
                 let uniform = self.sun_volume.get_or_insert_with(|| {
                     gpu.uniform_buffer("audit sun volume", size_of_val(&others))
                 });

@@ -1,6 +1,7 @@
 //! A cell on the device: its scene, where its rays start, where its tiles are found.
 
 use super::atlas::Atlas;
+use super::proxies::PROXIES_MAX;
 use super::sun_columns::{SunBinding, SunVolumeTexture};
 use super::texels::write;
 use crate::cache::{LEVELS, NO_TILE, PageTables, TileKey};
@@ -10,8 +11,6 @@ use skycell_shaders::{Features, layout};
 
 /// Entries of a row of the page tables, as in `composite/cached.wgsl`.
 const TABLE_WIDTH: u32 = 1024;
-/// Layers that a scene may have.
-const LAYERS_MAX: usize = 4;
 
 /// Buffers and bind groups of one cell.
 #[derive(Debug)]
@@ -22,7 +21,7 @@ pub struct CellBuffers {
     pub scene_group: wgpu::BindGroup,
     field_group: wgpu::BindGroup,
     tables: wgpu::Texture,
-    offsets: [Vec<u32>; LAYERS_MAX],
+    offsets: [Vec<u32>; PROXIES_MAX],
     cached_group: Option<(u64, wgpu::BindGroup)>,
     sampler: wgpu::Sampler,
     last_scene: Option<layout::Scene>,
@@ -39,7 +38,7 @@ fn buffer(gpu: &Gpu, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> wgpu
     })
 }
 
-/// Page tables as rows of entries; a table of all levels for four layers has at most 700 rows.
+/// Page tables as rows of entries; tables of all levels for all proxies have at most 2 800 rows.
 fn table_texture(gpu: &Gpu, rows: u32) -> wgpu::Texture {
     gpu.device.create_texture(&wgpu::TextureDescriptor {
         label: Some("page tables"),
@@ -172,13 +171,13 @@ impl CellBuffers {
         write(gpu, &self.reference, &value);
     }
 
-    /// Writes the page tables of the active layers.
-    pub fn set_tables(&mut self, gpu: &Gpu, layers: &[PageTables]) {
+    /// Writes the page tables of the proxies.
+    pub fn set_tables(&mut self, gpu: &Gpu, proxies: &[PageTables]) {
         let mut entries = Vec::new();
         self.offsets = Default::default();
-        for (layer, tables) in layers.iter().enumerate().take(LAYERS_MAX) {
+        for (proxy, tables) in proxies.iter().enumerate().take(PROXIES_MAX) {
             let start = entries.len() as u32;
-            self.offsets[layer] = tables.level_offsets.iter().map(|o| o + start).collect();
+            self.offsets[proxy] = tables.level_offsets.iter().map(|o| o + start).collect();
             entries.extend_from_slice(&tables.entries);
         }
         entries.resize(entries.len().max(1), NO_TILE);
@@ -207,10 +206,10 @@ impl CellBuffers {
         );
     }
 
-    /// Where a layer's table for a level is; beyond the levels that have tiles the finest one that has.
+    /// Where a proxy's table for a level is; beyond the levels that have tiles the finest one that has.
     #[must_use]
-    pub fn table(&self, layer: usize, level: u8) -> layout::PageTable {
-        let offsets = self.offsets.get(layer).map_or(&[][..], Vec::as_slice);
+    pub fn table(&self, proxy: usize, level: u8) -> layout::PageTable {
+        let offsets = self.offsets.get(proxy).map_or(&[][..], Vec::as_slice);
         let level = level
             .min(LEVELS - 1)
             .min(offsets.len().saturating_sub(1) as u8);

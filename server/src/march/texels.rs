@@ -12,7 +12,7 @@ use skycell_shaders::{Features, Kernel};
 pub const BATCH_TILES_MAX: usize = TILES_PER_PAGE as usize;
 /// Items between the starts of two groups, so that each starts at an aligned offset.
 const GROUP_ALIGNMENT: usize = 8;
-/// Groups (a layer of a cell each) that fit into a batch.
+/// Groups (a proxy of a cell each) that fit into a batch.
 const GROUPS_MAX: usize = 64;
 
 /// What the pass is specialised to for a layer.
@@ -30,14 +30,14 @@ pub fn texels_key(layer: Features) -> PipelineKey {
     }
 }
 
-/// Updates of one layer of one cell.
+/// Updates of one proxy of one cell.
 pub struct TexelGroup<'a> {
     /// The cell on the device.
     pub cell: &'a CellBuffers,
     /// What the layer's pipeline is specialised to.
     pub features: Features,
-    /// Index among the active layers.
-    pub layer: u32,
+    /// Index among the scene's proxies.
+    pub proxy: u32,
     /// The tiles.
     pub updates: Vec<TileUpdate>,
 }
@@ -91,7 +91,7 @@ impl TexelMarch {
                     tile: [u32::from(update.key.x), u32::from(update.key.y)],
                     texels_per_side: TileKey::texels_per_side(update.key.level) as f32,
                     slot: update.slot.0,
-                    layer: group.layer,
+                    proxy: group.proxy,
                     sample_index: update.sample_index,
                     weight: update.weight,
                     previous: place,

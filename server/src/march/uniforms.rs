@@ -27,7 +27,7 @@ const STEPS_MAX: u32 = 4096;
 pub struct ActiveLayer {
     /// Index in the scene's layers.
     pub scene_index: usize,
-    /// Altitude of its proxy sphere, m.
+    /// Mean altitude of its clouds, where its proxy sphere stands as long as it is kept whole, m.
     pub proxy_altitude_m: f64,
 }
 
@@ -160,12 +160,14 @@ pub struct LayerBlend {
     pub own_phases: bool,
     /// Whether two of them share altitudes.
     pub overlap: bool,
+    /// Parts that each is kept in.
+    pub proxies: u32,
 }
 
 impl LayerBlend {
-    /// What the active layers of a scene need.
+    /// What the active layers of a scene need, each kept in so many parts.
     #[must_use]
-    pub fn of(scene: &Scene, active: &[ActiveLayer]) -> Self {
+    pub fn of(scene: &Scene, active: &[ActiveLayer], proxies: u32) -> Self {
         let phase = |layer: &ActiveLayer| scene.layer_phase(layer.scene_index);
         let span_m = |layer: &ActiveLayer| {
             let layer = &scene.layers()[layer.scene_index];
@@ -182,6 +184,7 @@ impl LayerBlend {
             layers: active.len(),
             own_phases: active.iter().any(|layer| phase(layer) != phase(&active[0])),
             overlap,
+            proxies,
         }
     }
 }
@@ -311,8 +314,7 @@ fn period_offset(origin_m: f64, drift_m: f64, period_m: f64) -> f32 {
     ((origin_m - drift_m) / period_m).rem_euclid(1.0) as f32
 }
 
-/// The scene in the frame of a cell. `drifts` are those of [`wind_drifts`], `anchors` the address centres of the active
-/// layers in the cell's frame.
+/// The scene in the frame of a cell, without what is kept of it. `drifts` are those of [`wind_drifts`].
 #[must_use]
 pub fn scene_uniform(
     scene: &Scene,
@@ -321,7 +323,6 @@ pub fn scene_uniform(
     settings: MarchSettings,
     frame: &CellFrame,
     drifts: &[DVec3],
-    anchors: &[DVec3],
 ) -> layout::Scene {
     let octaves = settings.octaves.unwrap_or(scene.light().octaves());
     let ambient = if settings.ambient {
@@ -377,10 +378,9 @@ pub fn scene_uniform(
         ..Default::default()
     };
     uniform.night = night_uniform(scene, light);
-    for (place, (layer, anchor)) in active.iter().zip(anchors).enumerate().take(4) {
+    for (place, layer) in active.iter().enumerate().take(4) {
         let drift = drifts.get(layer.scene_index).copied().unwrap_or_default();
-        uniform.layers[place] =
-            layer_uniform(scene, *layer, place, settings, frame, drift, *anchor);
+        uniform.layers[place] = layer_uniform(scene, *layer, place, settings, frame, drift);
         if let Some(air) = light.air() {
             let layer = &scene.layers()[layer.scene_index];
             let heights_m = [layer.base_altitude_m(), layer.top_altitude_m()];
@@ -503,7 +503,6 @@ fn layer_uniform(
     settings: MarchSettings,
     frame: &CellFrame,
     drift: DVec3,
-    anchor: DVec3,
 ) -> layout::Layer {
     let layer = &scene.layers()[active.scene_index];
     let thickness_m = layer.top_altitude_m() - layer.base_altitude_m();
@@ -520,7 +519,6 @@ fn layer_uniform(
         single_scattering_albedo: layer.single_scattering_albedo() as f32,
         map_index: place as u32,
         proxy_altitude_m: active.proxy_altitude_m as f32,
-        anchor: f32s(anchor),
         step_min_m: (thickness_m / steps) as f32,
         // A step grows with distance as the height that a pixel sees does; or by so little that it never shows.
         step_per_distance: if settings.adaptive_step {

@@ -123,9 +123,8 @@ impl FieldProbe {
         for key in &keys {
             pipelines.prepare(&gpu, *key)?;
         }
-        let anchors = vec![frame.from_world(origin_m); active.len()];
         let drifts = wind_drifts(scene, time_s);
-        let uniform = scene_uniform(scene, &active, &light, settings, &frame, &drifts, &anchors);
+        let uniform = scene_uniform(scene, &active, &light, settings, &frame, &drifts);
         let mut cell = CellBuffers::new(&gpu, &pipelines, &field.bind_group);
         cell.set_scene(&gpu, &uniform);
         if has_volume {
@@ -291,7 +290,6 @@ impl SunAround<'_> {
         let mut volume =
             Generation::new(self.settings.sun_volume.fitting(self.active.len()), &inputs);
         let light = sky_light(self.scene, None, 0.0);
-        let anchors = vec![DVec3::ZERO; self.active.len()];
         let scenes: Vec<_> = (0..volume.layers())
             .map(|layer| {
                 let at = volume.origin_m(layer);
@@ -305,7 +303,6 @@ impl SunAround<'_> {
                     self.settings,
                     &frame,
                     &vec![still; self.drifts.len()],
-                    &anchors,
                 )
             })
             .collect();

@@ -1,7 +1,7 @@
 #define_import_path skycell::cached
 #import skycell::octahedral::octahedral_from_direction
 #import skycell::shell::{altitude_m, shell_roots}
-#import skycell::scene::Layer
+#import skycell::scene::Proxy
 #import skycell::march::{LayerRadiance, CLEAR_OPACITY, distance_seen_m}
 #import skycell::view::{View, PageTable}
 
@@ -104,7 +104,7 @@ fn point_at_altitude(planet_radius_m: f32, eye: View, direction: vec3f, altitude
 }
 
 #ifdef PARALLAX
-/// What a viewer away from where texels were marched knows of a layer along its ray.
+/// What a viewer away from where texels were marched knows of a proxy's part along its ray.
 struct Parallax {
     /// Altitude of what it sees, m.
     height_m: f32,
@@ -114,10 +114,10 @@ struct Parallax {
 
 /// The place of the sphere, from the anchor, whose texel shows a point: where the ray from that texel's origin through the
 /// point meets the sphere.
-fn place_of_point(planet_radius_m: f32, layer: Layer, parallax: Parallax, point: vec3f) -> vec3f {
-    let origin = layer.anchor + parallax.origin;
+fn place_of_point(planet_radius_m: f32, proxy: Proxy, parallax: Parallax, point: vec3f) -> vec3f {
+    let origin = proxy.anchor + parallax.origin;
     let direction = normalize(point - origin);
-    let sphere = shell_roots(planet_radius_m, layer.proxy_altitude_m, origin, altitude_m(planet_radius_m, origin), direction);
+    let sphere = shell_roots(planet_radius_m, proxy.altitude_m, origin, altitude_m(planet_radius_m, origin), direction);
     return parallax.origin + direction * max(sphere.far_m, 1e-3);
 }
 
@@ -155,9 +155,9 @@ const SEEN_OPACITY: f32 = 0.02;
 /// Of a texel that shows nothing.
 const NOTHING_BEHIND_M: f32 = -1e9;
 
-fn probe_point(planet_radius_m: f32, layer: Layer, table: PageTable, before: Parallax, point: vec3f) -> Probed {
-    let shown = shown_at(table, place_of_point(planet_radius_m, layer, before, point));
-    let behind_m = length(point - layer.anchor - shown.origin) - shown.distance_m;
+fn probe_point(planet_radius_m: f32, proxy: Proxy, table: PageTable, before: Parallax, point: vec3f) -> Probed {
+    let shown = shown_at(table, place_of_point(planet_radius_m, proxy, before, point));
+    let behind_m = length(point - proxy.anchor - shown.origin) - shown.distance_m;
     let shows = shown.held && shown.opacity > SEEN_OPACITY;
     return Probed(select(NOTHING_BEHIND_M, behind_m, shows), select(0.0, shown.opacity, shown.held), select(before.origin, shown.origin, shown.held));
 }
@@ -170,32 +170,32 @@ const CLOUD_DEPTH_M: f32 = 50.0;
 /// How fast a ray may get behind one surface, per m of its way.
 const CLOUD_SLOPE: f32 = 3.0;
 
-/// Finds the altitude of what a viewer sees: goes along its ray, from the layer's near side to its far one, until it is
+/// Finds the altitude of what a viewer sees: goes along its ray, from the near side of what the proxy keeps to its far one, until it is
 /// behind what the texels there show. Where that moves what is read by little, the texel on the sphere tells it.
-fn parallax_along(planet_radius_m: f32, eye: View, layer: Layer, table: PageTable, direction: vec3f) -> Parallax {
-    var result = Parallax(layer.proxy_altitude_m, vec3f(0.0));
-    let on_sphere = point_at_altitude(planet_radius_m, eye, direction, layer.proxy_altitude_m);
-    let first = shown_at(table, on_sphere - layer.anchor);
+fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTable, direction: vec3f) -> Parallax {
+    var result = Parallax(proxy.altitude_m, vec3f(0.0));
+    let on_sphere = point_at_altitude(planet_radius_m, eye, direction, proxy.altitude_m);
+    let first = shown_at(table, on_sphere - proxy.anchor);
     result.origin = select(vec3f(0.0), first.origin, first.held);
-    let starts = layer.anchor + result.origin;
+    let starts = proxy.anchor + result.origin;
     let seen = starts + normalize(on_sphere - starts) * first.distance_m;
-    let seen_m = clamp(altitude_m(planet_radius_m, seen), layer.base_altitude_m, layer.top_altitude_m);
-    result.height_m = select(layer.proxy_altitude_m, seen_m, first.held);
+    let seen_m = clamp(altitude_m(planet_radius_m, seen), proxy.part.low_altitude_m, proxy.part.high_altitude_m);
+    result.height_m = select(proxy.altitude_m, seen_m, first.held);
 
-    let from_base = normalize(point_at_altitude(planet_radius_m, eye, direction, layer.base_altitude_m) - starts);
-    let from_top = normalize(point_at_altitude(planet_radius_m, eye, direction, layer.top_altitude_m) - starts);
+    let from_base = normalize(point_at_altitude(planet_radius_m, eye, direction, proxy.part.low_altitude_m) - starts);
+    let from_top = normalize(point_at_altitude(planet_radius_m, eye, direction, proxy.part.high_altitude_m) - starts);
     let wanted = u32(min(length(from_base - from_top) / (SEARCH_PIXELS * eye.pixel_angle_rad), f32(eye.parallax_steps)));
     let searches = select(0u, wanted, wanted > 1u);
-    var low_m = layer.base_altitude_m;
+    var low_m = proxy.part.low_altitude_m;
     var low_behind_m = NOTHING_BEHIND_M;
-    var high_m = layer.top_altitude_m;
+    var high_m = proxy.part.high_altitude_m;
     var high_behind_m = 0.0;
     var is_hit = false;
     var last = point_at_altitude(planet_radius_m, eye, direction, low_m);
     for (var i = 0u; i < searches && !is_hit; i += 1u) {
-        let height_m = mix(layer.base_altitude_m, layer.top_altitude_m, f32(i + 1u) / f32(max(searches, 1u)));
+        let height_m = mix(proxy.part.low_altitude_m, proxy.part.high_altitude_m, f32(i + 1u) / f32(max(searches, 1u)));
         let point = point_at_altitude(planet_radius_m, eye, direction, height_m);
-        let probed = probe_point(planet_radius_m, layer, table, result, point);
+        let probed = probe_point(planet_radius_m, proxy, table, result, point);
         let is_behind = probed.behind_m >= 0.0;
         // A point far behind a cloud is no part of it: it is in what the cloud hides. Along one surface it gets behind by no
         // more than some times the way that it has come.
@@ -215,7 +215,7 @@ fn parallax_along(planet_radius_m: f32, eye: View, layer: Layer, table: PageTabl
         let between = clamp(low_behind_m / min(low_behind_m - high_behind_m, -1e-3), 0.1, 0.9);
         let height_m = mix(low_m, high_m, select(0.5, between, follows));
         let point = point_at_altitude(planet_radius_m, eye, direction, height_m);
-        let probed = probe_point(planet_radius_m, layer, table, result, point);
+        let probed = probe_point(planet_radius_m, proxy, table, result, point);
         let is_behind = probed.behind_m >= 0.0;
         let is_high = is_hit && is_behind && (follows || probed.opacity > 0.5);
         let is_low = is_hit && !is_high;
@@ -231,17 +231,72 @@ fn parallax_along(planet_radius_m: f32, eye: View, layer: Layer, table: PageTabl
 }
 #endif
 
-/// What the cache holds of a layer along a viewer's ray.
-fn cached_layer(planet_radius_m: f32, eye: View, layer: Layer, table: PageTable, direction: vec3f, hidden: bool) -> LayerRadiance {
+/// A part of a layer in the cache.
+struct Kept {
+    proxy: Proxy,
+    table: PageTable,
+}
+
+/// What the cache holds of a part of a layer along a viewer's ray.
+fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hidden: bool) -> LayerRadiance {
+    let proxy = kept.proxy;
+    let table = kept.table;
 #ifdef PARALLAX
-    let parallax = parallax_along(planet_radius_m, eye, layer, table, direction);
+    let parallax = parallax_along(planet_radius_m, eye, proxy, table, direction);
     let point = point_at_altitude(planet_radius_m, eye, direction, parallax.height_m);
-    var cloud = cached_radiance(table, place_of_point(planet_radius_m, layer, parallax, point), hidden);
+    var cloud = cached_radiance(table, place_of_point(planet_radius_m, proxy, parallax, point), hidden);
     // The viewer is as far from what it sees as it is, not as far as the origin of the texel's ray.
-    cloud.opacity_distance_m *= length(point - eye.position) / max(length(point - layer.anchor - parallax.origin), 1.0);
+    cloud.opacity_distance_m *= length(point - eye.position) / max(length(point - proxy.anchor - parallax.origin), 1.0);
     return cloud;
 #else
-    let point = point_at_altitude(planet_radius_m, eye, direction, layer.proxy_altitude_m);
-    return cached_radiance(table, point - layer.anchor, hidden);
+    let point = point_at_altitude(planet_radius_m, eye, direction, proxy.altitude_m);
+    return cached_radiance(table, point - proxy.anchor, hidden);
 #endif
+}
+
+#if PROXIES >= 2
+/// One part of a layer in front of another.
+fn in_front_of(front: LayerRadiance, back: LayerRadiance) -> LayerRadiance {
+    let kept = front.transmittance;
+    let transmittance = kept * back.transmittance;
+    // Each has the distance of its clear sky once, the whole has one.
+    let weights = (1.0 - kept + CLEAR_OPACITY) + kept * (1.0 - back.transmittance + CLEAR_OPACITY);
+    let distance_m = (front.opacity_distance_m + kept * back.opacity_distance_m) / weights;
+    return LayerRadiance(
+        front.single + kept * back.single,
+        front.octaves + kept * back.octaves,
+        front.ambient + kept * back.ambient,
+        transmittance,
+        distance_m * (1.0 - transmittance + CLEAR_OPACITY),
+    );
+}
+
+/// Two parts as an eye sees them: from above the upper one, the second, hides the lower one.
+fn both_parts(first: LayerRadiance, second: LayerRadiance, from_above: bool) -> LayerRadiance {
+    let below = in_front_of(first, second);
+    let above = in_front_of(second, first);
+    return LayerRadiance(
+        select(below.single, above.single, from_above),
+        select(below.octaves, above.octaves, from_above),
+        select(below.ambient, above.ambient, from_above),
+        select(below.transmittance, above.transmittance, from_above),
+        select(below.opacity_distance_m, above.opacity_distance_m, from_above),
+    );
+}
+#endif
+
+/// What the cache holds of a layer along a viewer's ray: its parts, from the lowest to the highest, one behind the other.
+fn cached_layer(planet_radius_m: f32, eye: View, kept: array<Kept, #{PROXIES}>, direction: vec3f, hidden: bool) -> LayerRadiance {
+    var cloud = cached_part(planet_radius_m, eye, kept[0], direction, hidden);
+#if PROXIES >= 2
+    let from_above = eye.altitude_m > kept[0].proxy.part.high_altitude_m;
+    cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[1], direction, hidden), from_above);
+#endif
+#if PROXIES >= 3
+    cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[2], direction, hidden), from_above);
+#endif
+#if PROXIES >= 4
+    cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[3], direction, hidden), from_above);
+#endif
+    return cloud;
 }

@@ -26,9 +26,10 @@
 #import skycell::shade::{haze_of_layer, sun_on_cloud, layer_in_air_over}
 #import skycell::physical::Haze
 #endif
-#import skycell::view::{View, PageTable, ListedRay, pixel_direction}
+#import skycell::view::{View, ListedRay, pixel_direction}
 #import skycell::shell::altitude_m
 #ifndef SCREEN_SPACE
+#import skycell::cached::Kept
 #ifdef SHOW_CACHE
 #import skycell::show::cached_entry
 #else
@@ -62,7 +63,7 @@ fn marched_pixel(eye: View, layer_index: u32, pixel: vec2u) -> LayerRadiance {
 
 #ifdef SCREEN_SPACE
 /// What the viewer sees of one layer along a ray.
-fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, layer_index: u32, pixel: vec2u, ray: Ray) -> LayerRadiance {
+fn layer_radiance(world: Scene, eye: View, layer: Layer, layer_index: u32, pixel: vec2u, ray: Ray) -> LayerRadiance {
     let cloud = marched_pixel(eye, layer_index, pixel);
     // Samples of the pixels at the horizon reach above it; the middle of the pixel decides, as it does for the cache.
     let hidden = hidden_by_ground(ray, layer.base_altitude_m);
@@ -73,16 +74,83 @@ fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, layer
 #else
 /// What the viewer sees of one layer along a ray. Texels straddle the horizon; the viewer's own ray decides whether the
 /// ground hides the layer.
-fn layer_radiance(world: Scene, eye: View, layer: Layer, table: PageTable, ray: Ray) -> LayerRadiance {
+fn layer_radiance(world: Scene, eye: View, layer: Layer, kept: array<Kept, #{PROXIES}>, ray: Ray) -> LayerRadiance {
     let hidden = hidden_by_ground(ray, layer.base_altitude_m);
 #ifdef SHOW_CACHE
-    let sphere = shell_roots(world.planet.radius_m, layer.proxy_altitude_m, eye.position, eye.altitude_m, ray.direction);
+    // Of the nearest part.
+    let proxy = kept[0].proxy;
+    let sphere = shell_roots(world.planet.radius_m, proxy.altitude_m, eye.position, eye.altitude_m, ray.direction);
     let on_sphere = eye.position + ray.direction * max(sphere.far_m, 1e-3);
-    return cached_entry(table, on_sphere - layer.anchor, hidden);
+    return cached_entry(kept[0].table, on_sphere - proxy.anchor, hidden);
 #else
-    return cached_layer(world.planet.radius_m, eye, layer, table, ray.direction, hidden);
+    return cached_layer(world.planet.radius_m, eye, kept, ray.direction, hidden);
 #endif
 }
+
+#if LAYERS >= 1
+fn kept_first(world: Scene, eye: View) -> array<Kept, #{PROXIES}> {
+    var kept: array<Kept, #{PROXIES}>;
+    kept[0] = Kept(world.proxies[0u * #{PROXIES}u], eye.tables[0u * #{PROXIES}u]);
+#if PROXIES >= 2
+    kept[1] = Kept(world.proxies[0u * #{PROXIES}u + 1u], eye.tables[0u * #{PROXIES}u + 1u]);
+#endif
+#if PROXIES >= 3
+    kept[2] = Kept(world.proxies[0u * #{PROXIES}u + 2u], eye.tables[0u * #{PROXIES}u + 2u]);
+#endif
+#if PROXIES >= 4
+    kept[3] = Kept(world.proxies[0u * #{PROXIES}u + 3u], eye.tables[0u * #{PROXIES}u + 3u]);
+#endif
+    return kept;
+}
+#endif
+#if LAYERS >= 2
+fn kept_second(world: Scene, eye: View) -> array<Kept, #{PROXIES}> {
+    var kept: array<Kept, #{PROXIES}>;
+    kept[0] = Kept(world.proxies[1u * #{PROXIES}u], eye.tables[1u * #{PROXIES}u]);
+#if PROXIES >= 2
+    kept[1] = Kept(world.proxies[1u * #{PROXIES}u + 1u], eye.tables[1u * #{PROXIES}u + 1u]);
+#endif
+#if PROXIES >= 3
+    kept[2] = Kept(world.proxies[1u * #{PROXIES}u + 2u], eye.tables[1u * #{PROXIES}u + 2u]);
+#endif
+#if PROXIES >= 4
+    kept[3] = Kept(world.proxies[1u * #{PROXIES}u + 3u], eye.tables[1u * #{PROXIES}u + 3u]);
+#endif
+    return kept;
+}
+#endif
+#if LAYERS >= 3
+fn kept_third(world: Scene, eye: View) -> array<Kept, #{PROXIES}> {
+    var kept: array<Kept, #{PROXIES}>;
+    kept[0] = Kept(world.proxies[2u * #{PROXIES}u], eye.tables[2u * #{PROXIES}u]);
+#if PROXIES >= 2
+    kept[1] = Kept(world.proxies[2u * #{PROXIES}u + 1u], eye.tables[2u * #{PROXIES}u + 1u]);
+#endif
+#if PROXIES >= 3
+    kept[2] = Kept(world.proxies[2u * #{PROXIES}u + 2u], eye.tables[2u * #{PROXIES}u + 2u]);
+#endif
+#if PROXIES >= 4
+    kept[3] = Kept(world.proxies[2u * #{PROXIES}u + 3u], eye.tables[2u * #{PROXIES}u + 3u]);
+#endif
+    return kept;
+}
+#endif
+#if LAYERS >= 4
+fn kept_fourth(world: Scene, eye: View) -> array<Kept, #{PROXIES}> {
+    var kept: array<Kept, #{PROXIES}>;
+    kept[0] = Kept(world.proxies[3u * #{PROXIES}u], eye.tables[3u * #{PROXIES}u]);
+#if PROXIES >= 2
+    kept[1] = Kept(world.proxies[3u * #{PROXIES}u + 1u], eye.tables[3u * #{PROXIES}u + 1u]);
+#endif
+#if PROXIES >= 3
+    kept[2] = Kept(world.proxies[3u * #{PROXIES}u + 2u], eye.tables[3u * #{PROXIES}u + 2u]);
+#endif
+#if PROXIES >= 4
+    kept[3] = Kept(world.proxies[3u * #{PROXIES}u + 3u], eye.tables[3u * #{PROXIES}u + 3u]);
+#endif
+    return kept;
+}
+#endif
 #endif
 
 /// A layer along a ray with its place in the order of blending.
@@ -212,9 +280,9 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
     // Written out with constant indices, so that all of them are read before the first pixel (and because a loop over
     // layers at computed indices keeps the software driver's compiler busy for minutes).
 #ifdef SCREEN_SPACE
-    let first_cloud = layer_radiance(world, eye, world.layers[0], eye.tables[0], 0u, pixel, ray);
+    let first_cloud = layer_radiance(world, eye, world.layers[0], 0u, pixel, ray);
 #else
-    let first_cloud = layer_radiance(world, eye, world.layers[0], eye.tables[0], ray);
+    let first_cloud = layer_radiance(world, eye, world.layers[0], kept_first(world, eye), ray);
 #endif
 #ifdef HAZE_OF_SPHERES
     var first = ordered_layer(world, back, back.first_haze, world.layers[0], first_cloud, ray);
@@ -223,9 +291,9 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
 #endif
 #if LAYERS >= 2
 #ifdef SCREEN_SPACE
-    let second_cloud = layer_radiance(world, eye, world.layers[1], eye.tables[1], 1u, pixel, ray);
+    let second_cloud = layer_radiance(world, eye, world.layers[1], 1u, pixel, ray);
 #else
-    let second_cloud = layer_radiance(world, eye, world.layers[1], eye.tables[1], ray);
+    let second_cloud = layer_radiance(world, eye, world.layers[1], kept_second(world, eye), ray);
 #endif
 #ifdef HAZE_OF_SPHERES
     var second = ordered_layer(world, back, back.second_haze, world.layers[1], second_cloud, ray);
@@ -238,9 +306,9 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
 #endif
 #if LAYERS >= 3
 #ifdef SCREEN_SPACE
-    let third_cloud = layer_radiance(world, eye, world.layers[2], eye.tables[2], 2u, pixel, ray);
+    let third_cloud = layer_radiance(world, eye, world.layers[2], 2u, pixel, ray);
 #else
-    let third_cloud = layer_radiance(world, eye, world.layers[2], eye.tables[2], ray);
+    let third_cloud = layer_radiance(world, eye, world.layers[2], kept_third(world, eye), ray);
 #endif
 #ifdef HAZE_OF_SPHERES
     var third = ordered_layer(world, back, back.third_haze, world.layers[2], third_cloud, ray);
@@ -255,9 +323,9 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
 #endif
 #if LAYERS >= 4
 #ifdef SCREEN_SPACE
-    let fourth_cloud = layer_radiance(world, eye, world.layers[3], eye.tables[3], 3u, pixel, ray);
+    let fourth_cloud = layer_radiance(world, eye, world.layers[3], 3u, pixel, ray);
 #else
-    let fourth_cloud = layer_radiance(world, eye, world.layers[3], eye.tables[3], ray);
+    let fourth_cloud = layer_radiance(world, eye, world.layers[3], kept_fourth(world, eye), ray);
 #endif
 #ifdef HAZE_OF_SPHERES
     var fourth = ordered_layer(world, back, back.fourth_haze, world.layers[3], fourth_cloud, ray);

@@ -22,7 +22,7 @@ struct View {
     up: vec3f,
     /// Share of this sample in the pixel's new value (screen-space renderer).
     sample_weight: f32,
-    tables: array<PageTable, 4>,
+    tables: array<PageTable, 16>,
     /// First row of a strip of the picture and angle of a pixel at its centre.
     first_row: u32,
     pixel_angle_rad: f32,

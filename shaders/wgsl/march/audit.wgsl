@@ -14,7 +14,8 @@ struct AuditWork {
     texels_per_side: f32,
     /// Where the atlas keeps the tile.
     slot: u32,
-    layer: u32,
+    /// Index among the scene's proxies.
+    proxy: u32,
 }
 
 /// Single scattering, octaves, ambient, transmittance; and the distance times opacity, m.
@@ -43,10 +44,10 @@ fn audit_texels(@builtin(global_invocation_id) id: vec3u) {
     let item = work[id.y];
     let texel = texel_in_level(item.tile, item.texel);
     let square = (texel + 0.5 + FOOTPRINT_TEXELS * sample_offset(id.x)) / item.texels_per_side;
-    let layer = scene.layers[item.layer];
-    let direction = texel_direction(scene.planet.radius_m, layer, reference.position, square);
+    let proxy = scene.proxies[item.proxy];
+    let direction = texel_direction(scene.planet.radius_m, proxy, reference.position, square);
     let start = sample_start_fraction(texel, id.x);
-    let fresh = march_layer(item.layer, reference.position, direction, start);
+    let fresh = march_layer(proxy.layer, proxy.part, reference.position, direction, start);
     let stored = vec2u(0u, item.slot % PAGE_TILES * TILE_STRIDE) + item.texel;
     let page = item.slot / PAGE_TILES;
     let cached = textureLoad(atlas_radiance, stored, page, 0);

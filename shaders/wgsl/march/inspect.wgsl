@@ -6,7 +6,7 @@
 #import skycell::view::{View, pixel_direction}
 #import skycell::colour_scale::{viridis, NOTHING}
 #ifdef SHOW_STEPS
-#import skycell::march::{march_layer, steps_taken}
+#import skycell::march::{march_layer, whole, steps_taken}
 #endif
 #ifdef DENSITY_WEATHER
 #import skycell::density::{map_texel, coverage_from_map, type_from_map, dimensional_profile, carved_density}
@@ -105,7 +105,7 @@ fn found_in_layer(layer: Layer, pixel: vec2u) -> vec2f {
     let size = vec2f(f32(view.width), f32(view.height));
     let ndc = (2.0 * (vec2f(pixel) + 0.5) / size - 1.0) * vec2f(1.0, -1.0);
 #ifdef SHOW_STEPS
-    let marched = march_layer(inspection.layer, view.position, pixel_direction(view, vec2f(pixel) + 0.5), 0.5);
+    let marched = march_layer(inspection.layer, whole(scene.layers[inspection.layer]), view.position, pixel_direction(view, vec2f(pixel) + 0.5), 0.5);
     // The march's result is of no interest, but without it there would be no march.
     return vec2f(f32(steps_taken) / STEPS_HIGH, select(1.0, 0.0, marched.transmittance < 0.0));
 #else

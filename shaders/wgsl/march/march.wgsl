@@ -1,6 +1,6 @@
 #define_import_path skycell::march
-#import skycell::scene::{Scene, Layer}
-#import skycell::shell::{altitude_m, layer_intervals}
+#import skycell::scene::{Scene, Layer, Part}
+#import skycell::shell::{altitude_m, layer_intervals, LayerIntervals}
 #import skycell::transport::one_minus_exp_over
 #import skycell::phase::{one_minus_mu, phase_per_sr}
 #import skycell::scattering::{Diffusion, Surroundings, diffuse_share, sky_share}
@@ -327,16 +327,32 @@ fn surroundings(ray: RayScene, layer: Layer, position: vec3f, up: vec3f, samples
 }
 #endif
 
+/// All of a layer.
+fn whole(layer: Layer) -> Part {
+    return Part(layer.base_altitude_m, layer.top_altitude_m, 0.0, 1e30);
+}
+
+/// Where a ray is in a part of a layer: both intervals between its altitudes, cut to its distances.
+fn part_intervals(planet_radius_m: f32, has_ground: bool, part: Part, origin: vec3f, direction: vec3f) -> LayerIntervals {
+    let between = layer_intervals(planet_radius_m, has_ground, part.low_altitude_m, part.high_altitude_m, origin, direction);
+    return LayerIntervals(
+        max(between.first_start_m, part.near_m),
+        min(between.first_end_m, part.far_m),
+        max(between.second_start_m, part.near_m),
+        min(between.second_end_m, part.far_m),
+    );
+}
+
 #ifdef DENSITY_CIRRUS
 /// One ray through a thin sheet: a few samples where it is met, no march. start_fraction in 0...1 as in the other march_layer.
-fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction: f32) -> LayerRadiance {
+fn march_layer(layer_index: u32, part: Part, origin: vec3f, direction: vec3f, start_fraction: f32) -> LayerRadiance {
     let ray = ray_scene(layer_index);
     let layer = scene.layers[layer_index];
     var octave_attenuation: array<vec4f, #{OCTAVE_VECTORS}>;
     for (var k = 0u; k < #{OCTAVE_VECTORS}u; k += 1u) {
         octave_attenuation[k] = attenuation_of(ray, layer, scene.light.octave_attenuation[k], k);
     }
-    let intervals = layer_intervals(ray.planet_radius_m, scene.planet.has_ground > 0.0, layer.base_altitude_m, layer.top_altitude_m, origin, direction);
+    let intervals = part_intervals(ray.planet_radius_m, scene.planet.has_ground > 0.0, part, origin, direction);
     let across = length(direction.xz);
     let lengths_m = max(vec2f(intervals.first_end_m - intervals.first_start_m, intervals.second_end_m - intervals.second_start_m), vec2f(0.0));
     let most = sheet_samples_max(layer);
@@ -379,8 +395,9 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
     return ray_light(ray, layer, origin, direction, octave_sums, Weighed(shown, weighted_sun_depth, weighted_distance_m), Weighed(0.0, 0.0, 0.0), transmittance, layer_distance_m);
 }
 #else
-/// Marches one ray through one layer. start_fraction in 0...1 shifts the samples by that share of a step.
-fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction: f32) -> LayerRadiance {
+/// Marches one ray through a part of one layer. start_fraction in 0...1 shifts the samples by that share of a step. Steps are
+/// counted from the origin, so that parts of a layer have each sample of the whole once.
+fn march_layer(layer_index: u32, part: Part, origin: vec3f, direction: vec3f, start_fraction: f32) -> LayerRadiance {
     let ray = ray_scene(layer_index);
 #ifdef WINDOW
     var layer = scene.layers[layer_index];
@@ -399,7 +416,7 @@ fn march_layer(layer_index: u32, origin: vec3f, direction: vec3f, start_fraction
     }
     let thickness_m = max(layer.top_altitude_m - layer.base_altitude_m, 1e-3);
     let has_ground = scene.planet.has_ground > 0.0;
-    let intervals = layer_intervals(ray.planet_radius_m, has_ground, layer.base_altitude_m, layer.top_altitude_m, origin, direction);
+    let intervals = part_intervals(ray.planet_radius_m, has_ground, part, origin, direction);
     // Horizontal metres per metre of ray; the floor keeps the quotient finite for vertical rays.
     let across = max(length(direction.xz), 1e-3);
     let detail_voxel_m = 1.0 / max(layer.detail_per_m * 32.0, 1e-9);

@@ -1,5 +1,5 @@
 // One ray per pixel of one viewer: the screen-space renderer.
-#import skycell::march::{scene, march_layer, sample_offset, sample_start_fraction, LayerRadiance}
+#import skycell::march::{scene, march_layer, whole, sample_offset, sample_start_fraction, LayerRadiance}
 #import skycell::view::{View, ListedRay, pixel_direction}
 #ifdef RAY_LIST
 #import skycell::march::{steps_taken, optical_depth_seen}
@@ -61,7 +61,7 @@ fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
     let at = ((view.layer * window.frames + newest) * size.y + texel.y) * size.x + texel.x;
     if texel.x >= size.x || texel.y >= size.y { return; }
     let moved = shifted(place, blue_noise_shift(blue_noise[blue_noise_index(pixel)]));
-    ring[at] = packed(march_layer(view.layer, view.position, pixel_direction(view, pixel + 0.5 + spread * (moved.xy - 0.5)), moved.z));
+    ring[at] = packed(march_layer(view.layer, whole(scene.layers[view.layer]), view.position, pixel_direction(view, pixel + 0.5 + spread * (moved.xy - 0.5)), moved.z));
 #ifdef COUNT_READS
     count();
 #endif
@@ -84,7 +84,7 @@ fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
 #endif
     // Without jitter every sample stands in the middle of its step.
     let start = mix(0.5, sample_start_fraction(vec2f(pixel), view.sample_index), view.jitter);
-    let sample = march_layer(view.layer, origin, direction, start);
+    let sample = march_layer(view.layer, whole(scene.layers[view.layer]), origin, direction, start);
     let at = ((view.layer * view.height + pixel.y) * view.width + pixel.x) * VALUES;
     let weight = view.sample_weight;
 #ifdef COUNT_READS

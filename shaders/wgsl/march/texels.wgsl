@@ -13,7 +13,8 @@ struct TileWork {
     texels_per_side: f32,
     /// Where the atlas keeps the tile.
     slot: u32,
-    layer: u32,
+    /// Index among the scene's proxies.
+    proxy: u32,
     /// Which of the jittered samples this is.
     sample_index: u32,
     /// Share of this sample in the texel's new value; 1 replaces.
@@ -42,11 +43,11 @@ fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
     let stored = group.xy * 8u + local.xy;
     let texel = texel_in_level(item.tile, stored);
     let square = (texel + 0.5 + FOOTPRINT_TEXELS * sample_offset(item.sample_index)) / item.texels_per_side;
-    let layer = scene.layers[item.layer];
-    let direction = texel_direction(scene.planet.radius_m, layer, reference.position, square);
+    let proxy = scene.proxies[item.proxy];
+    let direction = texel_direction(scene.planet.radius_m, proxy, reference.position, square);
 
     let start = sample_start_fraction(texel, item.sample_index);
-    let sample = march_layer(item.layer, reference.position, direction, start);
+    let sample = march_layer(proxy.layer, proxy.part, reference.position, direction, start);
 
 #ifdef COUNT_READS
     let before = atomicAdd(&read_counter[0], texture_reads);

@@ -103,19 +103,17 @@ struct Layer {
     skip_range_m: f32,
     /// Index of this layer's map in the map array.
     map_index: u32,
-    /// Where the proxy sphere stands, m above ground.
+    /// Mean altitude of its clouds, m above ground.
     proxy_altitude_m: f32,
     /// Unit vector along the fibres of a sheet, x and z.
     fibre_axis: vec2f,
-    /// Centre of the octahedral addresses, in the cell's frame; drifts with the layer's wind.
-    anchor: vec3f,
     /// Shortest step inside cloud, m.
     step_min_m: f32,
     /// Step per distance from the ray's origin.
     step_per_distance: f32,
     /// Longest number of lit samples of a ray.
     steps_max: u32,
-    /// Mean extinction of the air between the ground and the proxy sphere, per channel, 1/m.
+    /// Mean extinction of the air between the ground and that altitude, per channel, 1/m.
     air_extinction_per_m: vec3f,
     /// A ray stops where less than this share of the light behind could still come through; 0: never.
     transmittance_min: f32,
@@ -180,6 +178,30 @@ struct Night {
     pad_z: f32,
 }
 
+/// Which part of a ray through a layer counts.
+struct Part {
+    /// What lies between two altitudes, m, ...
+    low_altitude_m: f32,
+    high_altitude_m: f32,
+    /// ... and between two distances from where the ray starts, m.
+    near_m: f32,
+    far_m: f32,
+}
+
+/// What keeps a part of a layer: a surface on which the results of rays through it lie.
+struct Proxy {
+    /// Centre of the octahedral addresses, in the cell's frame; drifts with the layer's wind.
+    anchor: vec3f,
+    /// Where the sphere stands, m above ground.
+    altitude_m: f32,
+    part: Part,
+    /// Index of the layer.
+    layer: u32,
+    pad_x: u32,
+    pad_y: u32,
+    pad_z: u32,
+}
+
 struct Scene {
     planet: Planet,
     layer_count: u32,
@@ -188,5 +210,7 @@ struct Scene {
     sky: Sky,
     light: Light,
     layers: array<Layer, 4>,
+    /// Those of one layer after another, each with as many.
+    proxies: array<Proxy, 16>,
     night: Night,
 }

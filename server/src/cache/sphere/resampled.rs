@@ -157,7 +157,7 @@ mod tests {
 
     const SPHERE: SphereId = SphereId {
         cell: CellId(1),
-        layer: 0,
+        proxy: 0,
     };
     const SAMPLES: u32 = 4;
 

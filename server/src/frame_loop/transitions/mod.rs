@@ -309,7 +309,7 @@ impl SkyRenderer {
 
     /// What a viewer's cell can show of what it looks at.
     fn readiness(&self, viewer: &ActiveViewer) -> Readiness {
-        let has_requests = viewer.requests.len() == self.active.len();
+        let has_requests = viewer.requests.len() == self.proxies.len();
         if !has_requests || !self.coarse_is_ready(viewer.cell) {
             Readiness::Missing
         } else if self.is_coarse(viewer.cell, &viewer.requests) {

@@ -130,8 +130,8 @@ impl<'a> CrowdTiles<'a> {
             .keys()
             .filter_map(|id| Some((*id, cells.get(*id)?.reference_m)))
             .flat_map(|(cell, reference_m)| {
-                (0..).zip(&drifts).map(move |(layer, drift)| {
-                    (SphereId { cell, layer }, reference_m - drift.with_y(0.0))
+                (0..).zip(&drifts).map(move |(proxy, drift)| {
+                    (SphereId { cell, proxy }, reference_m - drift.with_y(0.0))
                 })
             })
             .collect();
@@ -264,7 +264,7 @@ impl<'a> CrowdTiles<'a> {
                 };
                 let cache = self.caches.sphere_mut(SphereId {
                     cell: *id,
-                    layer: index as u32,
+                    proxy: index as u32,
                 });
                 cache.set_evolved(drifts[index].y);
                 cache.set_drifts(drifts[index] != DVec3::ZERO);
