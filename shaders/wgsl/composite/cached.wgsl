@@ -1,6 +1,7 @@
 #define_import_path skycell::cached
 #import skycell::octahedral::octahedral_from_direction
 #import skycell::shell::{altitude_m, shell_roots}
+#import skycell::surface::{surface_point, surface_distance_m}
 #import skycell::scene::Proxy
 #import skycell::march::{LayerRadiance, CLEAR_OPACITY, distance_seen_m}
 #import skycell::view::{View, PageTable}
@@ -112,13 +113,12 @@ struct Parallax {
     origin: vec3f,
 }
 
-/// The place of the sphere, from the anchor, whose texel shows a point: where the ray from that texel's origin through the
-/// point meets the sphere.
+/// The place of the surface, from the anchor, whose texel shows a point: where the ray from that texel's origin through the
+/// point meets it.
 fn place_of_point(planet_radius_m: f32, proxy: Proxy, parallax: Parallax, point: vec3f) -> vec3f {
     let origin = proxy.anchor + parallax.origin;
     let direction = normalize(point - origin);
-    let sphere = shell_roots(planet_radius_m, proxy.altitude_m, origin, altitude_m(planet_radius_m, origin), direction);
-    return parallax.origin + direction * max(sphere.far_m, 1e-3);
+    return parallax.origin + direction * surface_distance_m(planet_radius_m, proxy, origin, altitude_m(planet_radius_m, origin), direction);
 }
 
 /// What a texel tells of what it shows.
@@ -174,11 +174,11 @@ const CLOUD_SLOPE: f32 = 3.0;
 /// behind what the texels there show. Where that moves what is read by little, the texel on the sphere tells it.
 fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTable, direction: vec3f) -> Parallax {
     var result = Parallax(proxy.altitude_m, vec3f(0.0));
-    let on_sphere = point_at_altitude(planet_radius_m, eye, direction, proxy.altitude_m);
-    let first = shown_at(table, on_sphere - proxy.anchor);
+    let on_surface = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);
+    let first = shown_at(table, on_surface - proxy.anchor);
     result.origin = select(vec3f(0.0), first.origin, first.held);
     let starts = proxy.anchor + result.origin;
-    let seen = starts + normalize(on_sphere - starts) * first.distance_m;
+    let seen = starts + normalize(on_surface - starts) * first.distance_m;
     let seen_m = clamp(altitude_m(planet_radius_m, seen), proxy.part.low_altitude_m, proxy.part.high_altitude_m);
     result.height_m = select(proxy.altitude_m, seen_m, first.held);
 
@@ -249,7 +249,7 @@ fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hi
     cloud.opacity_distance_m *= length(point - eye.position) / max(length(point - proxy.anchor - parallax.origin), 1.0);
     return cloud;
 #else
-    let point = point_at_altitude(planet_radius_m, eye, direction, proxy.altitude_m);
+    let point = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);
     return cached_radiance(table, point - proxy.anchor, hidden);
 #endif
 }

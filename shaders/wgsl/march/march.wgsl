@@ -329,7 +329,7 @@ fn surroundings(ray: RayScene, layer: Layer, position: vec3f, up: vec3f, samples
 
 /// All of a layer.
 fn whole(layer: Layer) -> Part {
-    return Part(layer.base_altitude_m, layer.top_altitude_m, 0.0, 1e30);
+    return Part(layer.base_altitude_m, layer.top_altitude_m, 0.0, 1e30, 0.0, 1e30, 0.0, 0.0);
 }
 
 /// Where a ray is in a part of a layer: both intervals between its altitudes, cut to its distances.
