@@ -11,9 +11,7 @@ use crate::composite::{Picture, composite_key, ground_key, shown_of};
 use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{DeviceInventory, Gpu, GpuError, PipelineKey, TimedPass};
 use crate::gpu::{read_buffer_blocking, reads_of};
-use crate::march::{
-    CellFrame, LISTED_VALUES, MarchedPixels, PROXIES_PER_LAYER_MAX, layer_features, pixels_key,
-};
+use crate::march::{CellFrame, LISTED_VALUES, MarchedPixels, layer_features, pixels_key};
 use glam::DVec3;
 use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, ViewerId};
 use skycell_shaders::{Features, Shown, layout};
@@ -514,7 +512,7 @@ impl Start {
         renderer.caches.set_samples(settings.samples);
         renderer.mip_bias = f64::from(settings.mip_bias);
         renderer.parallax_steps = settings.parallax_steps;
-        renderer.slabs = settings.slabs.clamp(1, PROXIES_PER_LAYER_MAX);
+        renderer.kept_on = settings.kept_on().checked()?;
         renderer.place_proxies();
         renderer.window_choice = WindowChoice::Fixed(settings.window);
         // Pipelines for other settings.
