@@ -116,10 +116,16 @@ pub(super) fn parallax_steps(
     active: &[ActiveLayer],
     domes: bool,
     viewer: &ActiveViewer,
-    reference_m: DVec3,
+    cell: &ActiveCell,
 ) -> u32 {
     let camera = &viewer.view.camera;
-    let away_m = DVec3::from_array(camera.position_m()).distance(reference_m);
+    let reference_m = cell.reference_m;
+    let eye_m = DVec3::from_array(camera.position_m());
+    // A dome keeps what was marched from about its anchor while the reference goes on.
+    let anchor_m = cell.anchors.first().filter(|_| domes);
+    let away_m = anchor_m
+        .map_or(0.0, |anchor| anchor.at_start_m.distance(eye_m))
+        .max(reference_m.distance(eye_m));
     let pixel_rad = 2.0 * (camera.vertical_fov_deg().to_radians() / 2.0).tan()
         / f64::from(viewer.view.size.height());
     let is_seen = active.iter().any(|layer| {
@@ -453,8 +459,7 @@ impl SkyRenderer {
                 let (camera, size) = (viewer.view.camera, viewer.view.size);
                 let mip_bias = viewer.quality.settings.mip_bias;
                 let domes = self.kept_on.has_domes();
-                let steps =
-                    parallax_steps(&self.scene, &self.active, domes, viewer, cell.reference_m);
+                let steps = parallax_steps(&self.scene, &self.active, domes, viewer, cell);
                 // Who has jumped is shown what is there until the new cell has more.
                 let has_jumped = viewer.has_jumped_from(id);
                 let Some(requests) = viewer.requests_in(id) else {

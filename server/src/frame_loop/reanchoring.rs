@@ -2,6 +2,8 @@
 //! new ones, so that the cell goes on showing what it showed and nothing has to be marched for that.
 
 #[cfg(test)]
+mod following_tests;
+#[cfg(test)]
 mod tests;
 
 use super::cells_on_device::ActiveCell;

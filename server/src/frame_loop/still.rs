@@ -6,6 +6,7 @@ use super::screen_space::{ScreenSpaceJob, WindowChoice};
 use super::still_settings::{LayerFigures, RayFigures, RayPicture};
 use super::still_settings::{StillFigures, StillPicture, StillSettings};
 use crate::atmosphere::ShaftShares;
+use crate::cache::{BYTES_PER_TEXEL, TEXELS_PER_TILE};
 use crate::cells::{CellLimit, Cells};
 use crate::composite::{Picture, composite_key, ground_key, shown_of};
 use crate::config::{PlacedCell, RenderConfig};
@@ -24,7 +25,7 @@ pub(super) const BATCH_TILES: usize = 32;
 /// Device time of a strip of the screen-space renderer between two reports, ns.
 const STRIP_NS: u64 = 400_000_000;
 /// The only viewer.
-const VIEWER: ViewerId = ViewerId(1);
+pub(super) const VIEWER: ViewerId = ViewerId(1);
 
 /// Renders single pictures of one scene.
 pub struct StillRenderer {
@@ -84,6 +85,12 @@ impl StillRenderer {
     #[must_use]
     pub fn totals(&self) -> RenderTotals {
         self.renderer.stats(0.0).totals
+    }
+
+    /// GPU memory of the cache's tiles that are there, bytes.
+    #[must_use]
+    pub fn resident_bytes(&self) -> u64 {
+        u64::from(self.renderer.caches.resident()) * TEXELS_PER_TILE * BYTES_PER_TEXEL
     }
 
     /// What stands on the device.
@@ -275,7 +282,12 @@ impl StillRenderer {
     }
 
     /// Makes the only viewer anew; true when it gets rays of its own: a camera in or above the clouds always does.
-    fn join(&mut self, camera: Camera, size: FrameSize, settings: &StillSettings) -> bool {
+    pub(super) fn join(
+        &mut self,
+        camera: Camera,
+        size: FrameSize,
+        settings: &StillSettings,
+    ) -> bool {
         let renderer = &mut self.renderer;
         renderer.leave(VIEWER);
         renderer.cells = if settings.reference_offset_m == [0.0; 3] {
@@ -354,7 +366,7 @@ impl StillRenderer {
         })
     }
 
-    fn prepare_composites(
+    pub(super) fn prepare_composites(
         &mut self,
         screen_space: bool,
         settings: &StillSettings,
@@ -438,7 +450,7 @@ impl StillRenderer {
     }
 
     /// The picture as it is shown, and its linear radiance.
-    fn composites(
+    pub(super) fn composites(
         &mut self,
         size: FrameSize,
         screen_space: bool,
@@ -493,7 +505,7 @@ fn turned(camera: &Camera, by_deg: f64) -> Result<Camera, GpuError> {
 }
 
 /// Where counters stood when a picture was begun.
-struct Start {
+pub(super) struct Start {
     at: Instant,
     totals: RenderTotals,
     gpu_ns: u64,
@@ -502,7 +514,10 @@ struct Start {
 
 impl Start {
     /// Takes the settings over and begins to count.
-    fn of(still: &mut StillRenderer, settings: &StillSettings) -> Result<Self, GpuError> {
+    pub(super) fn of(
+        still: &mut StillRenderer,
+        settings: &StillSettings,
+    ) -> Result<Self, GpuError> {
         let renderer = &mut still.renderer;
         renderer.leave(VIEWER);
         renderer.settings = settings.march;
@@ -529,7 +544,7 @@ impl Start {
         })
     }
 
-    fn figures(&self, still: &StillRenderer) -> Result<StillFigures, GpuError> {
+    pub(super) fn figures(&self, still: &StillRenderer) -> Result<StillFigures, GpuError> {
         let totals = still.totals();
         let marches = |t: &RenderTotals| t.texels_updated + t.screen_space_marches;
         let gpu_ns = still.gpu_times_ns().iter().sum::<u64>() - self.gpu_ns;

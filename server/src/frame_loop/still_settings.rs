@@ -41,6 +41,8 @@ pub struct StillSettings {
     pub bands: u32,
     /// Where those end.
     pub band_ends: BandEnds,
+    /// How far a reference may go before domes follow it, m (following and nested domes).
+    pub dome_follow_m: f64,
     /// Reference point of the cache, seen from the eye: x, altitude, z.
     pub reference_offset_m: [f64; 3],
     /// What the picture shows.
@@ -68,6 +70,7 @@ impl Default for StillSettings {
             proxies: ProxySetup::InLayer,
             bands: ProxySettings::default().bands,
             band_ends: BandEnds::Gaps,
+            dome_follow_m: ProxySettings::default().follow_m,
             reference_offset_m: [0.0; 3],
             show: Show::Picture,
             codec: Codec::Png,
@@ -84,7 +87,7 @@ impl StillSettings {
             slabs: self.slabs,
             bands: self.bands,
             band_ends: self.band_ends,
-            ..ProxySettings::default()
+            follow_m: self.dome_follow_m,
         }
     }
 }

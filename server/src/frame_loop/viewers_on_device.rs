@@ -234,8 +234,7 @@ impl SkyRenderer {
         let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
         view.dither_shift = dither_shift(viewer.view.codec);
         let domes = self.kept_on.has_domes();
-        view.parallax_steps =
-            parallax_steps(&self.scene, &self.active, domes, viewer, cell.reference_m);
+        view.parallax_steps = parallax_steps(&self.scene, &self.active, domes, viewer, cell);
         for (proxy, requests) in requests.iter().enumerate().take(view.tables.len()) {
             let finest = requests.iter().map(|r| r.key.level).max().unwrap_or(0);
             view.tables[proxy] = cell.buffers.table(proxy, finest);

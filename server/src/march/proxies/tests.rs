@@ -1,5 +1,6 @@
 use super::*;
 use crate::march::active_layers;
+use crate::probe::{FunctionPoint, FunctionProbe, FunctionQuestion};
 use serde_json::json;
 
 #[test]
@@ -109,4 +110,49 @@ fn domes_with_slabs_are_refused() {
             Err(error) => assert!(error.to_string().contains(name), "{error}"),
         }
     }
+}
+
+/// The shaders' function against its twin, from places up to nine tenths of the radius away from the middle. There the root of
+/// the discriminant is at least 0.43 r, and what rounding takes from either is some ten times U r.
+#[test]
+fn the_shaders_find_a_dome_where_its_twin_does() {
+    const U: f64 = 1.0 / (1u64 << 24) as f64;
+    let frame = CellFrame::at(DVec3::ZERO, 6.36e6);
+    let mut random = fastrand::Rng::with_seed(5);
+    let mut between = |low: f64, high: f64| low + (high - low) * random.f64();
+    let points: Vec<FunctionPoint> = (0..10_000)
+        .map(|index| {
+            let radius_m = 10f64.powf(between(2.0, 6.0));
+            let unit = |yaw: f64, mu: f64| {
+                let across = (1.0 - mu * mu).sqrt();
+                DVec3::new(across * yaw.cos(), mu, across * yaw.sin())
+            };
+            let from = unit(between(0.0, 6.3), between(-1.0, 1.0));
+            let direction = unit(between(0.0, 6.3), between(-1.0, 1.0)).as_vec3();
+            let share = if index % 10 == 0 {
+                0.0
+            } else {
+                between(0.0, 0.9)
+            };
+            let from = (from * share * radius_m).as_vec3();
+            [
+                [from.x, from.y, from.z, radius_m as f32],
+                [direction.x, direction.y, direction.z, 0.0],
+            ]
+        })
+        .collect();
+    let probe = FunctionProbe::open().expect("a device");
+    let values = probe
+        .ask(FunctionQuestion::DomeDistance, &points)
+        .expect("answers");
+    let mut worst: f64 = 0.0;
+    for (point, value) in points.iter().zip(&values) {
+        let vector = |v: [f32; 4]| DVec3::new(v[0].into(), v[1].into(), v[2].into());
+        let radius_m = f64::from(point[0][3]);
+        let surface = Surface::Dome { radius_m };
+        let twin_m = surface.distance_m(&frame, DVec3::ZERO, vector(point[0]), vector(point[1]));
+        worst = worst.max((f64::from(value[0]) - twin_m).abs() / (U * radius_m));
+    }
+    println!("off by {worst:.1} U r at most");
+    assert!(worst < 16.0, "{worst}");
 }
