@@ -365,6 +365,19 @@ impl SkyRenderer {
             .min_by(f64::total_cmp)
     }
 
+    /// Whether a cell's reference is well inside its domes.
+    pub(super) fn is_inside_domes(&self, id: CellId) -> bool {
+        self.active_cells.get(&id).is_some_and(|cell| {
+            let reference = cell.frame.from_world(cell.reference_m);
+            let is_inside = |proxy: &Proxy| {
+                let sphere = self.sphere_of(cell, proxy);
+                let off_m = sphere.anchor.distance(reference);
+                matches!(sphere.surface, Surface::Dome { radius_m } if off_m <= DOME_LEFT_SHARE * radius_m)
+            };
+            self.proxies.iter().all(is_inside)
+        })
+    }
+
     /// Whether a static dome goes on being marched from where it began, though viewers are about another place by now.
     fn dome_stays(&self, id: CellId, reference_m: DVec3) -> bool {
         self.kept_on.setup == ProxySetup::StaticDome
