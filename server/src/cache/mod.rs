@@ -12,7 +12,7 @@ pub use address::{
 };
 pub use pool::{Slot, SlotPool};
 pub use requests::{
-    ProxySphere, TileRequest, ViewFrustum, coarse_tiles, is_above_horizon, requested_tiles,
+    Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, is_above_horizon, requested_tiles,
 };
 pub use sphere::{NO_TILE, PageTables, SphereCache, Want};
 
@@ -178,12 +178,14 @@ impl Caches {
 
     /// Gives the tiles that a sphere wants slots as far as there are any, to be filled from those of the sphere that was in its
     /// place; `places` are the tile's in the octahedral square of that one, and `reference` is where rays start. Tiles of which
-    /// the old sphere shows nothing are left out. Returns what is to be filled.
+    /// the old sphere shows nothing are left out. `reprojected`: they are filled with what is seen from the reference. Returns
+    /// what is to be filled.
     pub fn resample(
         &mut self,
         id: SphereId,
         old: &SphereCache,
         reference: DVec3,
+        reprojected: bool,
         places: impl Fn(TileKey) -> Vec<DVec2>,
     ) -> Vec<(TileKey, Slot)> {
         let mut filled = Vec::new();
@@ -203,6 +205,9 @@ impl Caches {
             };
             if let Some(sphere) = self.spheres.get_mut(&id) {
                 sphere.insert_resampled(key, slot, old, &sources, reference, self.frame);
+                if reprojected {
+                    sphere.shows_from(&key, reference);
+                }
                 filled.push((key, slot));
             }
         }

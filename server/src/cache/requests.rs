@@ -1,7 +1,7 @@
 //! Which tiles a viewer needs: those inside its frustum and above its horizon, at the level of its pixels.
 
-use super::address::{LEVELS, TileKey, texel_solid_angle_sr};
-use crate::march::CellFrame;
+use super::address::{LEVELS, TILE_INTERIOR, TileKey, texel_solid_angle_sr};
+use crate::march::{CellFrame, Surface};
 use glam::{DVec2, DVec3};
 
 /// A texel may look this much wider than the pixel that shows it before the next level is asked for. At 0.8 a picture of
@@ -29,27 +29,71 @@ pub struct ViewFrustum {
 pub struct ProxySphere {
     /// The cell's frame.
     pub frame: CellFrame,
-    /// Centre of the addresses, inside the sphere, in the cell's frame.
+    /// Centre of the addresses, inside the surface, in the cell's frame.
     pub anchor: DVec3,
-    /// Altitude of the sphere, m.
-    pub altitude_m: f64,
+    /// The surface.
+    pub surface: Surface,
     /// Where rays start, in the cell's frame.
     pub reference: DVec3,
     /// Altitudes between which a viewer away from there looks for what a texel shows, m; without, on the sphere alone.
     pub seen_between_m: Option<[f64; 2]>,
+    /// What it keeps of its layer, where that is not all.
+    pub band: Option<Band>,
+}
+
+/// What is between two distances from where rays start, of a layer between two altitudes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Band {
+    /// The layer's altitudes, m.
+    pub altitudes_m: [f64; 2],
+    /// The distances, m.
+    pub distances_m: [f64; 2],
 }
 
 impl ProxySphere {
-    /// The point of the sphere in a direction from the anchor.
+    /// The point of the surface in a direction from the anchor.
     #[must_use]
     pub fn point(&self, from_anchor: DVec3) -> DVec3 {
-        let distance = self
-            .frame
-            .distance_to_shell_m(self.anchor, from_anchor, self.altitude_m);
-        self.anchor + from_anchor * distance
+        self.point_along(self.anchor, from_anchor)
     }
 
-    /// Where what the texel at a point of the sphere shows may be: on its ray.
+    /// The point of the surface along a ray from inside it.
+    #[must_use]
+    pub fn point_along(&self, from: DVec3, direction: DVec3) -> DVec3 {
+        from + direction
+            * self
+                .surface
+                .distance_m(&self.frame, self.anchor, from, direction)
+    }
+
+    /// Whether some texel of a tile may hold something: away from the band's directions, nothing is marched.
+    fn may_hold(&self, tile: TileKey) -> bool {
+        let Some(band) = self.band else {
+            return true;
+        };
+        // Between the places that are looked at, directions are this far away from one of them at most: tiles are up to twice
+        // as long as wide.
+        let between_rad = 0.5 * texel_solid_angle_sr(tile.level).sqrt() * f64::from(TILE_INTERIOR);
+        (0..9).any(|index| {
+            let within = DVec2::new(f64::from(index % 3), f64::from(index / 3)) / 2.0;
+            let along =
+                (self.point(tile.direction(within)) - self.reference).normalize_or(DVec3::Y);
+            let across = along.with_y(0.0).normalize_or(DVec3::X);
+            let elevation_rad = along.y.clamp(-1.0, 1.0).asin();
+            // The layer is nearest where a ray is steepest.
+            let distance_m = |elevation_rad: f64, altitude_m: f64| {
+                let elevation_rad = elevation_rad.clamp(0.0, std::f64::consts::FRAC_PI_2);
+                let direction = across * elevation_rad.cos() + DVec3::Y * elevation_rad.sin();
+                self.frame
+                    .distance_to_shell_m(self.reference, direction, altitude_m)
+            };
+            let nearest_m = distance_m(elevation_rad + between_rad, band.altitudes_m[0]);
+            let farthest_m = distance_m(elevation_rad - between_rad, band.altitudes_m[1]);
+            nearest_m <= band.distances_m[1] && farthest_m >= band.distances_m[0]
+        })
+    }
+
+    /// Where what the texel at a point of the surface shows may be: on its ray.
     fn seen_at(&self, point: DVec3) -> impl Iterator<Item = DVec3> {
         let along = (point - self.reference).normalize_or_zero();
         let ends = self.seen_between_m.map(|ends_m| {
@@ -57,6 +101,10 @@ impl ProxySphere {
                 let distance_m = self
                     .frame
                     .distance_to_shell_m(self.reference, along, altitude_m);
+                let distance_m = self.band.map_or(distance_m, |band| {
+                    let [near_m, far_m] = band.distances_m;
+                    distance_m.clamp(near_m, far_m)
+                });
                 self.reference + along * distance_m
             })
         });
@@ -119,7 +167,11 @@ fn seen_tile(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> SeenTile {
     }
     let from_anchor = middle - sphere.anchor;
     let from_eye = middle - eye;
-    let normal = (middle + DVec3::Y * sphere.frame.planet_radius_m()).normalize_or_zero();
+    let normal = match sphere.surface {
+        Surface::Shell { .. } => middle + DVec3::Y * sphere.frame.planet_radius_m(),
+        Surface::Dome { .. } => from_anchor,
+    }
+    .normalize_or_zero();
     let slant = |v: DVec3| v.normalize_or_zero().dot(normal).abs().max(1e-3);
     let solid_angle_ratio = from_anchor.length_squared() / from_eye.length_squared().max(1.0)
         * slant(from_eye)
@@ -182,7 +234,7 @@ pub fn requested_tiles(
     let mut open: Vec<TileKey> = TileKey::all_of(0).collect();
     while let Some(tile) = open.pop() {
         let seen = seen_tile(sphere, tile, view.position);
-        if !may_be_seen(&seen, &planes, dip_rad) {
+        if !may_be_seen(&seen, &planes, dip_rad) || !sphere.may_hold(tile) {
             continue;
         }
         // A pixel θ off the middle has cos³θ of the solid angle.
@@ -209,7 +261,7 @@ pub fn coarse_tiles(sphere: &ProxySphere, eye: DVec3) -> Vec<TileRequest> {
     TileKey::all_of(0)
         .filter_map(|key| {
             let seen = seen_tile(sphere, key, eye);
-            may_be_seen(&seen, &[], dip_rad).then_some(TileRequest {
+            (may_be_seen(&seen, &[], dip_rad) && sphere.may_hold(key)).then_some(TileRequest {
                 key,
                 eccentricity_rad: std::f64::consts::FRAC_PI_2 - seen.axis.y.clamp(-1.0, 1.0).asin(),
                 distance_m: seen.distance_m,
@@ -246,9 +298,12 @@ mod tests {
         ProxySphere {
             frame: CellFrame::at(DVec3::ZERO, 6.36e6),
             anchor: DVec3::new(300.0, 0.0, -200.0),
-            altitude_m: 2_200.0,
+            surface: Surface::Shell {
+                altitude_m: 2_200.0,
+            },
             reference: DVec3::ZERO,
             seen_between_m: None,
+            band: None,
         }
     }
 
@@ -276,8 +331,7 @@ mod tests {
                     let y = 1.0 - 2.0 * (f64::from(row) + 0.5) / 36.0;
                     let direction = (view.forward + x * view.right + y * view.up).normalize();
                     if direction.y < 0.0 { continue; }
-                    let distance = sphere.frame.distance_to_shell_m(view.position, direction, sphere.altitude_m);
-                    let point = view.position + direction * distance;
+                    let point = sphere.point_along(view.position, direction);
                     let square = octahedral_from_direction((point - sphere.anchor).normalize());
                     let found = (0..LEVELS).any(|level| {
                         let side = f64::from(TileKey::tiles_per_side(level));
@@ -312,8 +366,7 @@ mod tests {
                         let seen_m = sphere.frame.distance_to_shell_m(view.position, direction, altitude_m);
                         let seen = view.position + direction * seen_m;
                         let along = (seen - sphere.reference).normalize();
-                        let shell_m = sphere.frame.distance_to_shell_m(sphere.reference, along, sphere.altitude_m);
-                        let place = sphere.reference + along * shell_m - sphere.anchor;
+                        let place = sphere.point_along(sphere.reference, along) - sphere.anchor;
                         let square = octahedral_from_direction(place.normalize());
                         let found = (0..LEVELS).any(|level| {
                             let side = f64::from(TileKey::tiles_per_side(level));

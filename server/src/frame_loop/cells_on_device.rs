@@ -3,10 +3,10 @@
 use super::metering::Meter;
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
-use crate::cache::{ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
+use crate::cache::{Band, ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
 use crate::composite::view_frustum;
 use crate::march::{
-    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, scene_uniform,
+    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, scene_uniform,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, Scene, ViewerId};
@@ -110,18 +110,31 @@ impl ActiveCell {
 pub(super) fn parallax_steps(
     scene: &Scene,
     active: &[ActiveLayer],
+    domes: bool,
     viewer: &ActiveViewer,
-    reference_m: DVec3,
+    cell: &ActiveCell,
 ) -> u32 {
     let camera = &viewer.view.camera;
-    let away_m = DVec3::from_array(camera.position_m()).distance(reference_m);
+    let reference_m = cell.reference_m;
+    let eye_m = DVec3::from_array(camera.position_m());
+    // A dome keeps what was marched from about its anchor while the reference goes on.
+    let anchor_m = cell.anchors.first().filter(|_| domes);
+    let away_m = anchor_m
+        .map_or(0.0, |anchor| anchor.at_start_m.distance(eye_m))
+        .max(reference_m.distance(eye_m));
     let pixel_rad = 2.0 * (camera.vertical_fov_deg().to_radians() / 2.0).tan()
         / f64::from(viewer.view.size.height());
     let is_seen = active.iter().any(|layer| {
         let layer = &scene.layers()[layer.scene_index];
         let [base_m, top_m] = [layer.base_altitude_m(), layer.top_altitude_m()]
             .map(|altitude_m| (altitude_m - reference_m.y).abs().max(LAYER_NEAREST_M));
-        away_m * (1.0 / base_m - 1.0 / top_m).abs() > PARALLAX_PIXELS * pixel_rad
+        // A shell is in the layer; a dome is as far as the sky anywhere.
+        let between_per_m = if domes {
+            1.0 / base_m.min(top_m)
+        } else {
+            (1.0 / base_m - 1.0 / top_m).abs()
+        };
+        away_m * between_per_m > PARALLAX_PIXELS * pixel_rad
     });
     if is_seen {
         viewer.quality.settings.parallax_steps
@@ -233,7 +246,9 @@ impl SkyRenderer {
                 }
                 continue;
             }
+            let stays = self.dome_stays(id, reference_m);
             match self.active_cells.get_mut(&id) {
+                Some(_) if stays => {}
                 Some(cell) if cell.reference_m != reference_m => {
                     cell.follow(reference_m, passed_s);
                     cell.coarse.clear();
@@ -281,6 +296,23 @@ impl SkyRenderer {
         let anchor = cell.anchors[layer];
         let drift = self.drifts[self.active[layer].scene_index] - anchor.drift_at_start_m;
         cell.frame.from_world(anchor.at_start_m + drift.with_y(0.0))
+    }
+
+    /// Where a proxy's texels lie in a cell.
+    pub(super) fn sphere_of(&self, cell: &ActiveCell, proxy: &Proxy) -> ProxySphere {
+        let anchor = self.anchor_m(cell, proxy.layer);
+        let distances_m = proxy.band_m(&cell.frame, anchor);
+        ProxySphere {
+            frame: cell.frame,
+            anchor,
+            surface: proxy.surface(&cell.frame, anchor),
+            reference: cell.frame.from_world(cell.reference_m),
+            seen_between_m: None,
+            band: distances_m.map(|distances_m| Band {
+                altitudes_m: proxy.between_m,
+                distances_m,
+            }),
+        }
     }
 
     /// Reference point of a sphere in the frame that drifts with its layer.
@@ -338,7 +370,9 @@ impl SkyRenderer {
             let off = self.anchor_m(cell, place) - reference;
             let height_m = layer.proxy_altitude_m - cell.frame.altitude_m(reference);
             let rise_max_m = ANCHOR_RISE_MAX * height_m.abs().max(SPHERE_HEIGHT_MIN_M);
-            off.with_y(0.0).length() > ANCHOR_DRIFT_MAX_M || (is_read && off.y.abs() > rise_max_m)
+            let [aside_max_m, rise_max_m] =
+                self.anchors_may_be_off(cell, [ANCHOR_DRIFT_MAX_M, rise_max_m]);
+            off.with_y(0.0).length() > aside_max_m || (is_read && off.y.abs() > rise_max_m)
         })
     }
 
@@ -358,7 +392,7 @@ impl SkyRenderer {
             &self.drifts,
         );
         for (place, proxy) in self.proxies.iter().enumerate().take(PROXIES_MAX) {
-            uniform.proxies[place] = proxy.uniform(anchors[proxy.layer]);
+            uniform.proxies[place] = proxy.uniform(&cell.frame, anchors[proxy.layer]);
         }
         uniform.exposure *= cell.auto_exposure_ev().exp2() as f32;
         cell.buffers.set_scene(&self.gpu, &uniform);
@@ -370,13 +404,7 @@ impl SkyRenderer {
             let spheres: Vec<ProxySphere> = self
                 .proxies
                 .iter()
-                .map(|proxy| ProxySphere {
-                    frame: cell.frame,
-                    anchor: anchors[proxy.layer],
-                    altitude_m: proxy.altitude_m,
-                    reference: eye,
-                    seen_between_m: None,
-                })
+                .map(|proxy| self.sphere_of(cell, proxy))
                 .collect();
             // By drift, or because the reference has moved.
             let moved = drifted || cell.coarse.len() != spheres.len();
@@ -387,7 +415,8 @@ impl SkyRenderer {
             for viewer in self.viewers.values_mut() {
                 let (camera, size) = (viewer.view.camera, viewer.view.size);
                 let mip_bias = viewer.quality.settings.mip_bias;
-                let steps = parallax_steps(&self.scene, &self.active, viewer, cell.reference_m);
+                let domes = self.kept_on.has_domes();
+                let steps = parallax_steps(&self.scene, &self.active, domes, viewer, cell);
                 // Who has jumped is shown what is there until the new cell has more.
                 let has_jumped = viewer.has_jumped_from(id);
                 let Some(requests) = viewer.requests_in(id) else {

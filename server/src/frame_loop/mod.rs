@@ -4,6 +4,7 @@
 mod auditing;
 mod awaited_scene;
 mod cells_on_device;
+mod domes_on_device;
 #[cfg(test)]
 mod driven;
 pub mod interface;
@@ -20,6 +21,7 @@ mod sky_time;
 mod stats;
 
 mod still;
+mod still_followed;
 mod still_settings;
 mod still_shared;
 mod sun_volumes;

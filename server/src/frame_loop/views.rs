@@ -79,9 +79,10 @@ impl SkyRenderer {
         cell: CellId,
         composite: PipelineKey,
     ) -> PipelineKey {
+        let domes = self.kept_on.has_domes();
         let searches = viewer.kind == RendererKind::Cached
             && self.active_cells.get(&cell).is_some_and(|cell| {
-                parallax_steps(&self.scene, &self.active, viewer, cell.reference_m) > 0
+                parallax_steps(&self.scene, &self.active, domes, viewer, cell) > 0
             });
         if searches {
             with_parallax(composite)

@@ -21,6 +21,8 @@ pub enum FunctionQuestion {
     OneMinusExpOver = 5,
     /// The transfer function of sRGB.
     Srgb = 6,
+    /// A ray and a dome.
+    DomeDistance = 7,
 }
 
 /// Two vectors.

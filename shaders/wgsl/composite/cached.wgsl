@@ -1,6 +1,10 @@
 #define_import_path skycell::cached
 #import skycell::octahedral::octahedral_from_direction
 #import skycell::shell::{altitude_m, shell_roots}
+#import skycell::surface::{surface_point, surface_distance_m}
+#ifdef DOMES
+#import skycell::surface::dome_distance_m
+#endif
 #import skycell::scene::Proxy
 #import skycell::march::{LayerRadiance, CLEAR_OPACITY, distance_seen_m}
 #import skycell::view::{View, PageTable}
@@ -112,13 +116,12 @@ struct Parallax {
     origin: vec3f,
 }
 
-/// The place of the sphere, from the anchor, whose texel shows a point: where the ray from that texel's origin through the
-/// point meets the sphere.
+/// The place of the surface, from the anchor, whose texel shows a point: where the ray from that texel's origin through the
+/// point meets it.
 fn place_of_point(planet_radius_m: f32, proxy: Proxy, parallax: Parallax, point: vec3f) -> vec3f {
     let origin = proxy.anchor + parallax.origin;
     let direction = normalize(point - origin);
-    let sphere = shell_roots(planet_radius_m, proxy.altitude_m, origin, altitude_m(planet_radius_m, origin), direction);
-    return parallax.origin + direction * max(sphere.far_m, 1e-3);
+    return parallax.origin + direction * surface_distance_m(planet_radius_m, proxy, origin, altitude_m(planet_radius_m, origin), direction);
 }
 
 /// What a texel tells of what it shows.
@@ -170,30 +173,53 @@ const CLOUD_DEPTH_M: f32 = 50.0;
 /// How fast a ray may get behind one surface, per m of its way.
 const CLOUD_SLOPE: f32 = 3.0;
 
+/// Altitudes between which a viewer's ray is searched for what a proxy keeps: those of its part, as far as its distances from
+/// where its rays start go.
+fn searched_altitudes(planet_radius_m: f32, eye: View, proxy: Proxy, starts: vec3f, direction: vec3f) -> vec2f {
+    let part = vec2f(proxy.part.low_altitude_m, proxy.part.high_altitude_m);
+#ifdef DOMES
+    let from_start = eye.position - starts;
+    // No ray in a layer is longer than this, and no square of it is beyond a float.
+    let distances_m = min(vec2f(proxy.part.near_m, proxy.part.far_gap_m), vec2f(FARTHEST_M));
+    let near_m = max(dome_distance_m(distances_m.x, from_start, direction), 0.0);
+    let far_m = max(dome_distance_m(distances_m.y, from_start, direction), 0.0);
+    let ends = vec2f(altitude_m(planet_radius_m, eye.position + direction * near_m), altitude_m(planet_radius_m, eye.position + direction * far_m));
+    return clamp(vec2f(min(ends.x, ends.y), max(ends.x, ends.y)), part.xx, part.yy);
+#else
+    return part;
+#endif
+}
+
+#ifdef DOMES
+/// Farther than any cloud is seen, m.
+const FARTHEST_M: f32 = 2e6;
+#endif
+
 /// Finds the altitude of what a viewer sees: goes along its ray, from the near side of what the proxy keeps to its far one, until it is
 /// behind what the texels there show. Where that moves what is read by little, the texel on the sphere tells it.
 fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTable, direction: vec3f) -> Parallax {
     var result = Parallax(proxy.altitude_m, vec3f(0.0));
-    let on_sphere = point_at_altitude(planet_radius_m, eye, direction, proxy.altitude_m);
-    let first = shown_at(table, on_sphere - proxy.anchor);
+    let on_surface = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);
+    let first = shown_at(table, on_surface - proxy.anchor);
     result.origin = select(vec3f(0.0), first.origin, first.held);
     let starts = proxy.anchor + result.origin;
-    let seen = starts + normalize(on_sphere - starts) * first.distance_m;
+    let seen = starts + normalize(on_surface - starts) * first.distance_m;
     let seen_m = clamp(altitude_m(planet_radius_m, seen), proxy.part.low_altitude_m, proxy.part.high_altitude_m);
     result.height_m = select(proxy.altitude_m, seen_m, first.held);
 
-    let from_base = normalize(point_at_altitude(planet_radius_m, eye, direction, proxy.part.low_altitude_m) - starts);
-    let from_top = normalize(point_at_altitude(planet_radius_m, eye, direction, proxy.part.high_altitude_m) - starts);
+    let between = searched_altitudes(planet_radius_m, eye, proxy, starts, direction);
+    let from_base = normalize(point_at_altitude(planet_radius_m, eye, direction, between.x) - starts);
+    let from_top = normalize(point_at_altitude(planet_radius_m, eye, direction, between.y) - starts);
     let wanted = u32(min(length(from_base - from_top) / (SEARCH_PIXELS * eye.pixel_angle_rad), f32(eye.parallax_steps)));
     let searches = select(0u, wanted, wanted > 1u);
-    var low_m = proxy.part.low_altitude_m;
+    var low_m = between.x;
     var low_behind_m = NOTHING_BEHIND_M;
-    var high_m = proxy.part.high_altitude_m;
+    var high_m = between.y;
     var high_behind_m = 0.0;
     var is_hit = false;
     var last = point_at_altitude(planet_radius_m, eye, direction, low_m);
     for (var i = 0u; i < searches && !is_hit; i += 1u) {
-        let height_m = mix(proxy.part.low_altitude_m, proxy.part.high_altitude_m, f32(i + 1u) / f32(max(searches, 1u)));
+        let height_m = mix(between.x, between.y, f32(i + 1u) / f32(max(searches, 1u)));
         let point = point_at_altitude(planet_radius_m, eye, direction, height_m);
         let probed = probe_point(planet_radius_m, proxy, table, result, point);
         let is_behind = probed.behind_m >= 0.0;
@@ -212,8 +238,8 @@ fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTabl
     // The interval in which the ray goes under the surface is narrowed. At an edge it ends in the cloud.
     let follows = is_hit && low_behind_m > 0.5 * NOTHING_BEHIND_M;
     for (var i = 0u; i < 2u; i += 1u) {
-        let between = clamp(low_behind_m / min(low_behind_m - high_behind_m, -1e-3), 0.1, 0.9);
-        let height_m = mix(low_m, high_m, select(0.5, between, follows));
+        let share = clamp(low_behind_m / min(low_behind_m - high_behind_m, -1e-3), 0.1, 0.9);
+        let height_m = mix(low_m, high_m, select(0.5, share, follows));
         let point = point_at_altitude(planet_radius_m, eye, direction, height_m);
         let probed = probe_point(planet_radius_m, proxy, table, result, point);
         let is_behind = probed.behind_m >= 0.0;
@@ -224,8 +250,8 @@ fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTabl
         low_m = select(low_m, height_m, is_low);
         low_behind_m = select(low_behind_m, probed.behind_m, is_low && follows);
     }
-    let between = clamp(low_behind_m / min(low_behind_m - high_behind_m, -1e-3), 0.0, 1.0);
-    let surface_m = mix(low_m, high_m, select(1.0, between, follows));
+    let share = clamp(low_behind_m / min(low_behind_m - high_behind_m, -1e-3), 0.0, 1.0);
+    let surface_m = mix(low_m, high_m, select(1.0, share, follows));
     result.height_m = select(result.height_m, select(low_m, surface_m, is_hit), searches > 0u);
     return result;
 }
@@ -249,7 +275,7 @@ fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hi
     cloud.opacity_distance_m *= length(point - eye.position) / max(length(point - proxy.anchor - parallax.origin), 1.0);
     return cloud;
 #else
-    let point = point_at_altitude(planet_radius_m, eye, direction, proxy.altitude_m);
+    let point = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);
     return cached_radiance(table, point - proxy.anchor, hidden);
 #endif
 }
@@ -271,6 +297,7 @@ fn in_front_of(front: LayerRadiance, back: LayerRadiance) -> LayerRadiance {
     );
 }
 
+#ifndef DOMES
 /// Two parts as an eye sees them: from above the upper one, the second, hides the lower one.
 fn both_parts(first: LayerRadiance, second: LayerRadiance, from_above: bool) -> LayerRadiance {
     let below = in_front_of(first, second);
@@ -284,10 +311,23 @@ fn both_parts(first: LayerRadiance, second: LayerRadiance, from_above: bool) -> 
     );
 }
 #endif
+#endif
 
-/// What the cache holds of a layer along a viewer's ray: its parts, from the lowest to the highest, one behind the other.
+/// What the cache holds of a layer along a viewer's ray: its parts, slabs from the lowest to the highest, one behind the other.
 fn cached_layer(planet_radius_m: f32, eye: View, kept: array<Kept, #{PROXIES}>, direction: vec3f, hidden: bool) -> LayerRadiance {
     var cloud = cached_part(planet_radius_m, eye, kept[0], direction, hidden);
+#ifdef DOMES
+    // Bands of distance, from the nearest to the farthest.
+#if PROXIES >= 2
+    cloud = in_front_of(cloud, cached_part(planet_radius_m, eye, kept[1], direction, hidden));
+#endif
+#if PROXIES >= 3
+    cloud = in_front_of(cloud, cached_part(planet_radius_m, eye, kept[2], direction, hidden));
+#endif
+#if PROXIES >= 4
+    cloud = in_front_of(cloud, cached_part(planet_radius_m, eye, kept[3], direction, hidden));
+#endif
+#else
 #if PROXIES >= 2
     let from_above = eye.altitude_m > kept[0].proxy.part.high_altitude_m;
     cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[1], direction, hidden), from_above);
@@ -297,6 +337,7 @@ fn cached_layer(planet_radius_m: f32, eye: View, kept: array<Kept, #{PROXIES}>, 
 #endif
 #if PROXIES >= 4
     cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[3], direction, hidden), from_above);
+#endif
 #endif
     return cloud;
 }

@@ -4,6 +4,7 @@
 #import skycell::phase::{phase_hg_per_sr, phase_draine_per_sr}
 #import skycell::transport::one_minus_exp_over
 #import skycell::tone::srgb_from_linear
+#import skycell::surface::dome_distance_m
 
 @group(0) @binding(0) var<storage, read> points: array<vec4f>;
 @group(0) @binding(1) var<storage, read_write> values: array<vec4f>;
@@ -40,6 +41,8 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
         case 5u: { value.x = one_minus_exp_over(first.x); }
         // sRGB of first.xyz
         case 6u: { value = vec4f(srgb_from_linear(first.xyz), 0.0); }
+        // dome_distance_m(r = first.w, p = first.xyz, d = second.xyz)
+        case 7u: { value.x = dome_distance_m(first.w, first.xyz, second.xyz); }
         default: {}
     }
     values[id.x] = value;
