@@ -69,7 +69,7 @@ impl Default for StillSettings {
             slabs: 1,
             proxies: ProxySetup::InLayer,
             bands: ProxySettings::default().bands,
-            band_ends: BandEnds::Gaps,
+            band_ends: BandEnds::default(),
             dome_follow_m: ProxySettings::default().follow_m,
             reference_offset_m: [0.0; 3],
             show: Show::Picture,

@@ -69,9 +69,10 @@ impl ProxySetup {
 #[serde(rename_all = "kebab-case")]
 pub enum BandEnds {
     /// In the next gap between clouds along each ray.
-    #[default]
     Gaps,
-    /// At their distance, through whatever cloud stands there.
+    /// At their distance, through whatever cloud stands there: what is in front hides the cut, and what is behind is there where a
+    /// viewer beside the reference looks past it.
+    #[default]
     Cut,
 }
 
@@ -97,7 +98,7 @@ impl Default for ProxySettings {
             setup: ProxySetup::InLayer,
             slabs: 1,
             bands: 3,
-            band_ends: BandEnds::Gaps,
+            band_ends: BandEnds::default(),
             follow_m: 100.0,
         }
     }

@@ -77,11 +77,11 @@ const PLAIN: Kept = Kept {
     setup: ProxySetup::InLayer,
     slabs: 1,
     bands: 3,
-    ends: BandEnds::Gaps,
+    ends: BandEnds::Cut,
     followed_m: None,
 };
 const NESTED: Kept = Kept {
-    name: "nested domes, 3 bands, gaps",
+    name: "nested domes, 3 bands",
     setup: ProxySetup::NestedDomes,
     ..PLAIN
 };
@@ -112,18 +112,18 @@ const SETUPS: [Kept; 9] = [
         ..FOLLOWING
     },
     Kept {
-        name: "nested domes, 2 bands, gaps",
+        name: "nested domes, 2 bands",
         bands: 2,
         ..NESTED
     },
     NESTED,
     Kept {
-        name: "nested domes, 3 bands, cut",
-        ends: BandEnds::Cut,
+        name: "nested domes, 3 bands, gaps",
+        ends: BandEnds::Gaps,
         ..NESTED
     },
     Kept {
-        name: "nested domes, 4 bands, gaps",
+        name: "nested domes, 4 bands",
         bands: 4,
         ..NESTED
     },
@@ -315,8 +315,10 @@ fn table(shown: &[Shown]) -> String {
         for one in row {
             let _ = write!(text, " {:.4} / {:.3} |", one.errors.flip, one.errors.ssim);
         }
-        // Away from the reference, a search is part of the picture; the first place has none.
-        let composite_ns = row.iter().map(|one| one.composite_ns).max().unwrap_or(0);
+        // Away from the reference, a search is part of the picture; the first place has none. A driver's first dispatch of a
+        // pipeline takes longer.
+        let beside = row.iter().skip(1).map(|one| one.composite_ns);
+        let composite_ns = beside.min().unwrap_or(first.composite_ns);
         let _ = writeln!(
             text,
             " {:.2} | {:.1} | {:.0} |",

@@ -113,7 +113,7 @@ pub struct RenderArguments {
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(2..=4))]
     pub bands: u32,
     /// Where bands end (nested domes).
-    #[arg(long, value_enum, default_value_t = BandEnds::Gaps)]
+    #[arg(long, value_enum, default_value_t = BandEnds::Cut)]
     pub band_ends: BandEnds,
     /// Most places at which a viewer away from the reference looks for what texels show, 0 to 64; 0: proxies alone.
     #[arg(long, default_value_t = crate::quality::default_parallax_steps(), value_parser = clap::value_parser!(u32).range(0..=64))]
