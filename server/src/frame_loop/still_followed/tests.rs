@@ -127,7 +127,7 @@ fn bands_that_end_in_gaps_slice_no_cloud() {
         let apart = flip(&whole, &picture(&mut still, 30.0, &nested(2, ends)));
         let share = sliced(&mut still, &whole, ends);
         println!("{ends:?}: FLIP {apart:.4} from the whole, {share:.3} of the box sliced");
-        assert!(apart < 0.006, "{ends:?}: {apart}");
+        assert!(apart < 0.003, "{ends:?}: {apart}");
         match ends {
             // Where one band takes over from the other, texels of both are between pixels. Measured: .010 and .174.
             BandEnds::Gaps => assert!(share < 0.03, "{share}"),
@@ -157,7 +157,8 @@ fn bands_that_end_in_gaps_slice_no_cloud() {
             &picture(&mut still, 30.0, &nested(2, BandEnds::Gaps)),
         );
         println!("{what}: FLIP {apart:.4}");
-        assert!(apart > 0.02, "{what}: {apart}");
+        // Measured: .0082 and more, where the true shaders have .0004.
+        assert!(apart > 0.006, "{what}: {apart}");
     }
 }
 
