@@ -383,10 +383,10 @@ gpu_struct! {
         part: Part,
         /// Index of the layer.
         layer: u32,
-        /// Fills to 16 bytes.
-        pad_x: u32,
-        /// Fills to 16 bytes.
-        pad_y: u32,
+        /// 1: anchor and reference are above the layer, and rays go down to it.
+        from_above: u32,
+        /// From above: rays that pass over the sphere have their places no nearer than this, m.
+        least_m: f32,
         /// Fills to 16 bytes.
         pad_z: u32,
     }
@@ -489,8 +489,10 @@ gpu_struct! {
         proxy_altitude_m: f32,
         /// From the old frame's origin to the new one's, x and z, m.
         moved: [f32; 2],
-        /// Fills to 16 bytes.
-        pad_moved: [f32; 2],
+        /// As that of the proxy.
+        from_above: u32,
+        /// As that of the proxy.
+        least_m: f32,
     }
 }
 

@@ -12,7 +12,7 @@ pub use address::{
 };
 pub use pool::{Slot, SlotPool};
 pub use requests::{
-    ProxySphere, TileRequest, ViewFrustum, coarse_tiles, is_above_horizon, requested_tiles,
+    ProxySphere, TileRequest, ViewFrustum, coarse_tiles, requested_tiles,
 };
 pub use sphere::{NO_TILE, PageTables, SphereCache, Want};
 

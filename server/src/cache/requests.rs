@@ -1,7 +1,7 @@
 //! Which tiles a viewer needs: those inside its frustum and above its horizon, at the level of its pixels.
 
 use super::address::{LEVELS, TileKey, texel_solid_angle_sr};
-use crate::march::CellFrame;
+use crate::march::{CellFrame, least_from_above_m};
 use glam::{DVec2, DVec3};
 
 /// A texel may look this much wider than the pixel that shows it before the next level is asked for. At 0.8 a picture of
@@ -24,6 +24,9 @@ pub struct ViewFrustum {
     pub pixel_angle_rad: f64,
 }
 
+/// From above, a point that is so far over the sphere is not on it, m.
+const BEYOND_MIN_M: f64 = 0.1;
+
 /// Where a layer's texels lie.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProxySphere {
@@ -33,6 +36,8 @@ pub struct ProxySphere {
     pub anchor: DVec3,
     /// Altitude of the sphere, m.
     pub altitude_m: f64,
+    /// Top of what it keeps, m: from above no ray that passes over it is asked for.
+    pub top_m: f64,
     /// Where rays start, in the cell's frame.
     pub reference: DVec3,
     /// Altitudes between which a viewer away from there looks for what a texel shows, m; without, on the sphere alone.
@@ -40,28 +45,85 @@ pub struct ProxySphere {
 }
 
 impl ProxySphere {
-    /// The point of the sphere in a direction from the anchor.
+    /// Whether there may be anything to see in a direction from an eye: from below not under the horizon, from above not over
+    /// the top.
+    #[must_use]
+    pub fn may_show(&self, eye: DVec3, direction: DVec3) -> bool {
+        let visible = Visible::of(self, eye);
+        let edge = -visible.dip_rad.sin();
+        let sine = direction.dot(visible.up);
+        if visible.from_above {
+            sine <= edge
+        } else {
+            sine >= edge
+        }
+    }
+
+    /// Whether it is seen from above.
+    #[must_use]
+    pub fn is_from_above(&self) -> bool {
+        self.frame.altitude_m(self.anchor) > self.altitude_m
+    }
+
+    /// Distance from a point along a unit direction to the surface, m: the sphere, and from above what stands for it where
+    /// rays from the anchor pass over it (`geometry/proxy.wgsl`).
+    #[must_use]
+    pub fn distance_m(&self, from: DVec3, direction: DVec3) -> f64 {
+        let (frame, altitude_m) = (&self.frame, self.altitude_m);
+        let Some(least_m) = least_from_above_m(frame, self.anchor, altitude_m) else {
+            return frame.distance_to_shell_m(from, direction, altitude_m);
+        };
+        let near_m = frame.shell_roots_m(from, direction, altitude_m);
+        let seen_m = near_m.map(|[near_m, _]| near_m).filter(|near_m| {
+            let point = from + direction * near_m;
+            *near_m > 0.0 && (self.anchor - point).dot(frame.up(point)) >= 0.0
+        });
+        seen_m.unwrap_or_else(|| {
+            let from_anchor = from - self.anchor;
+            let from_centre = from + DVec3::Y * frame.planet_radius_m();
+            let b = 0.5 * (direction.dot(from_anchor) + direction.dot(from_centre));
+            let c = from_anchor.dot(from_centre);
+            ((b * b - c).max(0.0).sqrt() - b).max(least_m)
+        })
+    }
+
+    /// The point of the surface in a direction from the anchor.
     #[must_use]
     pub fn point(&self, from_anchor: DVec3) -> DVec3 {
-        let distance = self
-            .frame
-            .distance_to_shell_m(self.anchor, from_anchor, self.altitude_m);
-        self.anchor + from_anchor * distance
+        self.anchor + from_anchor * self.distance_m(self.anchor, from_anchor)
+    }
+
+    /// Normal of the surface at one of its points.
+    fn normal(&self, point: DVec3) -> DVec3 {
+        let is_beyond = self.is_from_above()
+            && self.frame.altitude_m(point) > self.altitude_m + BEYOND_MIN_M;
+        if is_beyond {
+            let centre = 0.5 * (self.anchor - DVec3::Y * self.frame.planet_radius_m());
+            (point - centre).normalize_or(DVec3::Y)
+        } else {
+            self.frame.up(point)
+        }
+    }
+
+    /// Where a ray from the reference enters and leaves what is kept between two altitudes; none where it passes over it.
+    fn ends_between(&self, along: DVec3, [low_m, high_m]: [f64; 2]) -> Option<[DVec3; 2]> {
+        let (frame, from) = (&self.frame, self.reference);
+        let ends_m = if self.is_from_above() {
+            let [enters_m, leaves_m] = frame.shell_roots_m(from, along, high_m)?;
+            let base_m = frame.shell_roots_m(from, along, low_m);
+            [enters_m, base_m.map_or(leaves_m, |[near_m, _]| near_m)]
+        } else {
+            [low_m, high_m].map(|altitude_m| frame.distance_to_shell_m(from, along, altitude_m))
+        };
+        Some(ends_m.map(|distance_m| from + along * distance_m))
     }
 
     /// Where what the texel at a point of the sphere shows may be: on its ray.
     fn seen_at(&self, point: DVec3) -> impl Iterator<Item = DVec3> {
         let along = (point - self.reference).normalize_or_zero();
-        let ends = self.seen_between_m.map(|ends_m| {
-            ends_m.map(|altitude_m| {
-                let distance_m = self
-                    .frame
-                    .distance_to_shell_m(self.reference, along, altitude_m);
-                self.reference + along * distance_m
-            })
-        });
-        let [low, high] = ends.unwrap_or([point; 2]);
-        [low, high].into_iter()
+        let between_m = self.seen_between_m;
+        let ends = between_m.and_then(|between_m| self.ends_between(along, between_m));
+        ends.unwrap_or([point; 2]).into_iter()
     }
 }
 
@@ -119,7 +181,7 @@ fn seen_tile(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> SeenTile {
     }
     let from_anchor = middle - sphere.anchor;
     let from_eye = middle - eye;
-    let normal = (middle + DVec3::Y * sphere.frame.planet_radius_m()).normalize_or_zero();
+    let normal = sphere.normal(middle);
     let slant = |v: DVec3| v.normalize_or_zero().dot(normal).abs().max(1e-3);
     let solid_angle_ratio = from_anchor.length_squared() / from_eye.length_squared().max(1.0)
         * slant(from_eye)
@@ -133,13 +195,57 @@ fn seen_tile(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> SeenTile {
     }
 }
 
-/// Whether some of a tile may be in front of all planes and above the horizon.
-fn may_be_seen(tile: &SeenTile, planes: &[DVec3], horizon_dip_rad: f64) -> bool {
+/// In which directions an eye may see anything of a sphere.
+struct Visible {
+    /// From above they are below this angle under the horizontal, from below above it.
+    dip_rad: f64,
+    from_above: bool,
+    /// Straight up at the eye.
+    up: DVec3,
+}
+
+impl Visible {
+    fn of(sphere: &ProxySphere, eye: DVec3) -> Self {
+        let frame = &sphere.frame;
+        let from_above = sphere.is_from_above();
+        Self {
+            dip_rad: if from_above {
+                // Where a ray touches the top.
+                let height_m = (frame.altitude_m(eye) - sphere.top_m).max(0.0);
+                let top_from_centre_m = frame.planet_radius_m() + sphere.top_m;
+                (height_m * (2.0 * top_from_centre_m + height_m))
+                    .sqrt()
+                    .atan2(top_from_centre_m)
+            } else {
+                horizon_dip_rad(frame, eye)
+            },
+            from_above,
+            // From below the frame's own will do: there directions are compared with the ground's edge in its own middle.
+            up: if from_above { frame.up(eye) } else { DVec3::Y },
+        }
+    }
+
+    /// Whether it may see something of a tile.
+    fn some_of(&self, tile: &SeenTile) -> bool {
+        let turned = if self.from_above {
+            self.dip_rad - tile.bulge_rad
+        } else {
+            self.dip_rad + tile.bulge_rad
+        };
+        let edge = -turned.min(std::f64::consts::FRAC_PI_2).sin();
+        let sines = tile.directions.iter().map(|d| d.dot(self.up));
+        if self.from_above {
+            sines.fold(f64::INFINITY, f64::min) <= edge
+        } else {
+            sines.fold(f64::NEG_INFINITY, f64::max) >= edge
+        }
+    }
+}
+
+/// Whether some of a tile may be in front of all planes and in a direction in which there is something.
+fn may_be_seen(tile: &SeenTile, planes: &[DVec3], visible: &Visible) -> bool {
     let reach = tile.bulge_rad.min(std::f64::consts::FRAC_PI_2).sin();
-    let lowest = -(horizon_dip_rad + tile.bulge_rad)
-        .min(std::f64::consts::FRAC_PI_2)
-        .sin();
-    tile.directions.iter().any(|d| d.y >= lowest)
+    visible.some_of(tile)
         && planes
             .iter()
             .all(|plane| tile.directions.iter().any(|d| plane.dot(*d) >= -reach))
@@ -149,12 +255,6 @@ fn may_be_seen(tile: &SeenTile, planes: &[DVec3], horizon_dip_rad: f64) -> bool 
 fn horizon_dip_rad(frame: &CellFrame, eye: DVec3) -> f64 {
     let altitude_m = frame.altitude_m(eye).max(0.0);
     (frame.planet_radius_m() / (frame.planet_radius_m() + altitude_m)).acos()
-}
-
-/// Whether a direction from an eye does not point under the horizon.
-#[must_use]
-pub fn is_above_horizon(frame: &CellFrame, eye: DVec3, direction: DVec3) -> bool {
-    direction.y >= -horizon_dip_rad(frame, eye).sin()
 }
 
 /// A tile that a viewer wants, with how far it lies from the middle of the picture.
@@ -176,13 +276,13 @@ pub fn requested_tiles(
     mip_bias: f64,
 ) -> Vec<TileRequest> {
     let planes = view.planes();
-    let dip_rad = horizon_dip_rad(&sphere.frame, view.position);
+    let visible = Visible::of(sphere, view.position);
     let allowed = TEXELS_PER_PIXEL_MAX * mip_bias.exp2();
     let mut requests = Vec::new();
     let mut open: Vec<TileKey> = TileKey::all_of(0).collect();
     while let Some(tile) = open.pop() {
         let seen = seen_tile(sphere, tile, view.position);
-        if !may_be_seen(&seen, &planes, dip_rad) {
+        if !may_be_seen(&seen, &planes, &visible) {
             continue;
         }
         // A pixel θ off the middle has cos³θ of the solid angle.
@@ -205,11 +305,11 @@ pub fn requested_tiles(
 /// The tiles of the coarsest level that can be seen from a point in any direction.
 #[must_use]
 pub fn coarse_tiles(sphere: &ProxySphere, eye: DVec3) -> Vec<TileRequest> {
-    let dip_rad = horizon_dip_rad(&sphere.frame, eye);
+    let visible = Visible::of(sphere, eye);
     TileKey::all_of(0)
         .filter_map(|key| {
             let seen = seen_tile(sphere, key, eye);
-            may_be_seen(&seen, &[], dip_rad).then_some(TileRequest {
+            may_be_seen(&seen, &[], &visible).then_some(TileRequest {
                 key,
                 eccentricity_rad: std::f64::consts::FRAC_PI_2 - seen.axis.y.clamp(-1.0, 1.0).asin(),
                 distance_m: seen.distance_m,
@@ -247,6 +347,7 @@ mod tests {
             frame: CellFrame::at(DVec3::ZERO, 6.36e6),
             anchor: DVec3::new(300.0, 0.0, -200.0),
             altitude_m: 2_200.0,
+            top_m: 4_000.0,
             reference: DVec3::ZERO,
             seen_between_m: None,
         }

@@ -10,7 +10,7 @@ mod limit;
 
 pub use crowd::{Crowd, CrowdMotion};
 pub use error_curve::{ErrorAt, ErrorCurve, ErrorCurveError, ErrorCurveFile};
-pub use limit::CellLimit;
+pub use limit::{CellLimit, Storeys};
 
 use crate::config::PlacedCell;
 use glam::DVec3;
@@ -116,12 +116,21 @@ impl Cells {
 
     /// Gives cells that form another limit, which the next grouping keeps.
     pub fn set_limit(&mut self, limit: CellLimit) {
+        let limit = limit.with_storeys(self.limit.storeys());
         if limit != self.limit {
             self.limit = limit;
             self.restless = true;
             for cell in self.cells.values_mut().filter(|cell| !cell.placed) {
                 cell.radius_m = limit.radius_m();
             }
+        }
+    }
+
+    /// Tells where layers are. Nobody on one side of a layer stays in a cell on another.
+    pub fn set_storeys(&mut self, storeys: Storeys) {
+        if storeys != self.limit.storeys() {
+            self.limit = self.limit.with_storeys(storeys);
+            self.restless = true;
         }
     }
 
@@ -210,6 +219,7 @@ impl Cells {
         self.cells
             .iter()
             .filter(|(_, cell)| cell.placed)
+            .filter(|(_, cell)| self.limit.share_storey(cell.reference_m, position_m))
             .map(|(id, cell)| (cell.reference_m.distance(position_m) / cell.radius_m, *id))
             .filter(|(share, _)| *share <= 1.0)
             .min_by(|a, b| a.0.total_cmp(&b.0))

@@ -9,7 +9,9 @@ use super::renderer::SkyRenderer;
 use crate::cache::{
     ProxySphere, SphereCache, SphereId, TileKey, TileUpdate, octahedral_from_direction,
 };
-use crate::march::{CellFrame, ResampleGroup, ResampledTile, record_resample};
+use crate::march::{
+    CellFrame, ResampleGroup, ResampledTile, least_from_above_m, record_resample,
+};
 use glam::{DVec2, DVec3};
 use skycell_protocol::CellId;
 use skycell_shaders::layout;
@@ -35,7 +37,8 @@ impl Readdressed {
             .map(|within| {
                 let point = self.new.point(key.direction(*within));
                 let [x, z] = self.new.frame.origin_m();
-                let world_m = DVec3::new(x + point.x, self.new.altitude_m, z + point.z);
+                let altitude_m = self.new.frame.altitude_m(point);
+                let world_m = DVec3::new(x + point.x, altitude_m, z + point.z);
                 let from_old = self.old.frame.from_world(world_m) - self.old.anchor;
                 octahedral_from_direction(from_old.normalize_or(DVec3::Y))
             })
@@ -43,6 +46,7 @@ impl Readdressed {
     }
 
     fn addresses(&self) -> layout::Resample {
+        let least_m = least_from_above_m(&self.new.frame, self.new.anchor, self.new.altitude_m);
         let [[from_x, from_z], [to_x, to_z]] = [&self.old, &self.new].map(|s| s.frame.origin_m());
         layout::Resample {
             new_anchor: self.new.anchor.as_vec3().to_array(),
@@ -50,7 +54,8 @@ impl Readdressed {
             old_anchor: self.old.anchor.as_vec3().to_array(),
             proxy_altitude_m: self.new.altitude_m as f32,
             moved: [(to_x - from_x) as f32, (to_z - from_z) as f32],
-            ..Default::default()
+            from_above: u32::from(least_m.is_some()),
+            least_m: least_m.unwrap_or(0.0) as f32,
         }
     }
 }
@@ -110,7 +115,11 @@ impl SkyRenderer {
     /// Whether the coarse level of every proxy is there and shows what is seen from about where the reference is now: after a
     /// jump it shows another place.
     fn can_be_resampled(&self, id: CellId) -> bool {
-        (0..self.proxies.len() as u32).all(|proxy| {
+        let is_aright = self.active_cells.get(&id).is_some_and(|cell| {
+            (0..self.active.len()).all(|layer| self.is_anchored_aright(cell, layer))
+        });
+        is_aright
+            && (0..self.proxies.len() as u32).all(|proxy| {
             let sphere_id = SphereId { cell: id, proxy };
             let (sphere, reference) = (
                 self.caches.sphere(sphere_id),
@@ -141,6 +150,7 @@ impl SkyRenderer {
             frame,
             anchor,
             altitude_m: kept.altitude_m,
+            top_m: kept.between_m[1],
             reference: frame.from_world(cell.reference_m),
             seen_between_m: None,
         };

@@ -11,6 +11,7 @@ mod pixels;
 mod proxies;
 mod resample;
 mod settings;
+mod sides;
 mod sky;
 mod sun_columns;
 mod texels;
@@ -25,9 +26,12 @@ pub use cell_buffers::CellBuffers;
 pub use frame::CellFrame;
 pub use pattern::{FramePlace, WINDOW_FRAMES_MAX, window_places};
 pub use pixels::{LISTED_VALUES, MarchedPixels, PixelStrip, pixels_key};
-pub use proxies::{PROXIES_MAX, PROXIES_PER_LAYER_MAX, Proxy, proxies_of};
+pub use proxies::{
+    PROXIES_MAX, PROXIES_PER_LAYER_MAX, Proxy, least_from_above_m, proxies_of,
+};
 pub use resample::{ResampleGroup, ResampledTile, record_resample, resample_key};
 pub use settings::MarchSettings;
+pub use sides::{Side, layer_bounds_m};
 pub use sky::{SkyLight, sky_light, sun_angular_radius_rad};
 pub use sun_columns::{SunBinding, SunVolumeTexture, sun_columns_key, without_own};
 pub use texels::{BATCH_TILES_MAX, TexelGroup, TexelMarch, texels_key};

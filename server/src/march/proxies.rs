@@ -1,6 +1,6 @@
 //! What layers are kept on: a layer may be cut into parts, each with a proxy sphere of its own.
 
-use super::ActiveLayer;
+use super::{ActiveLayer, CellFrame};
 use glam::DVec3;
 use skycell_protocol::Scene;
 use skycell_shaders::layout;
@@ -13,6 +13,18 @@ const LAYERS_MAX: usize = 4;
 pub const PROXIES_MAX: usize = LAYERS_MAX * PROXIES_PER_LAYER_MAX as usize;
 /// Farther than any ray goes, m.
 const FAR_M: f32 = 1e30;
+
+/// From above, rays from an anchor that pass over its sphere have their places no nearer than this share of the way to where
+/// a ray touches the sphere.
+const LEAST_SHARE: f64 = 0.25;
+
+/// Least distance of such places, m; none where a sphere is read from below.
+#[must_use]
+pub fn least_from_above_m(frame: &CellFrame, anchor: DVec3, altitude_m: f64) -> Option<f64> {
+    let height_m = frame.altitude_m(anchor) - altitude_m;
+    let from_centre_m = 2.0 * (frame.planet_radius_m() + altitude_m) + height_m;
+    (height_m > 0.0).then(|| LEAST_SHARE * (height_m * from_centre_m).sqrt())
+}
 
 /// What keeps a part of a layer in the cache.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,8 +42,11 @@ pub struct Proxy {
 impl Proxy {
     /// As the shaders read it. `anchor` is the centre of its addresses in the cell's frame.
     #[must_use]
-    pub fn uniform(&self, anchor: DVec3) -> layout::Proxy {
+    pub fn uniform(&self, frame: &CellFrame, anchor: DVec3) -> layout::Proxy {
+        let least_m = least_from_above_m(frame, anchor, self.altitude_m);
         layout::Proxy {
+            from_above: u32::from(least_m.is_some()),
+            least_m: least_m.unwrap_or(0.0) as f32,
             anchor: anchor.as_vec3().to_array(),
             altitude_m: self.altitude_m as f32,
             part: layout::Part {

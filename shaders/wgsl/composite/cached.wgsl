@@ -3,6 +3,9 @@
 #import skycell::shell::{altitude_m, shell_roots}
 #import skycell::scene::Proxy
 #import skycell::march::{LayerRadiance, CLEAR_OPACITY, distance_seen_m}
+#ifdef ABOVE
+#import skycell::proxy::{proxy_distance_m, distance_to_proxy_m}
+#endif
 #import skycell::view::{View, PageTable}
 
 /// Page tables as rows of TABLE_WIDTH entries. A texture and no buffer: software drivers read buffers lane by lane.
@@ -103,11 +106,30 @@ fn point_at_altitude(planet_radius_m: f32, eye: View, direction: vec3f, altitude
     return eye.position + direction * max(shell.far_m, 1e-3);
 }
 
+/// The point of a viewer's ray on a proxy's surface.
+fn point_on_proxy(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f) -> vec3f {
+#ifdef ABOVE
+    let sphere = shell_roots(planet_radius_m, proxy.altitude_m, eye.position, eye.altitude_m, direction);
+    return eye.position + direction * proxy_distance_m(planet_radius_m, proxy, eye.position, sphere, direction);
+#else
+    return point_at_altitude(planet_radius_m, eye, direction, proxy.altitude_m);
+#endif
+}
+
+#ifdef ABOVE
+/// Whether a viewer's ray from above passes over a proxy's part: tiles end a little above its edge, and coarse ones reach far
+/// beyond.
+fn passes_over(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f) -> bool {
+    let top = shell_roots(planet_radius_m, proxy.part.high_altitude_m, eye.position, eye.altitude_m, direction);
+    return proxy.from_above > 0u && !(top.hit && top.far_m > 0.0);
+}
+#endif
+
 #ifdef PARALLAX
 /// What a viewer away from where texels were marched knows of a proxy's part along its ray.
 struct Parallax {
-    /// Altitude of what it sees, m.
-    height_m: f32,
+    /// Where it is on the ray, see Way.
+    place: f32,
     /// Where the rays of the texels started that show it, from the anchor, m.
     origin: vec3f,
 }
@@ -117,8 +139,48 @@ struct Parallax {
 fn place_of_point(planet_radius_m: f32, proxy: Proxy, parallax: Parallax, point: vec3f) -> vec3f {
     let origin = proxy.anchor + parallax.origin;
     let direction = normalize(point - origin);
+#ifdef ABOVE
+    return parallax.origin + direction * distance_to_proxy_m(planet_radius_m, proxy, origin, direction);
+#else
     let sphere = shell_roots(planet_radius_m, proxy.altitude_m, origin, altitude_m(planet_radius_m, origin), direction);
     return parallax.origin + direction * max(sphere.far_m, 1e-3);
+#endif
+}
+
+/// Ends of a viewer's way through a proxy's part, the nearer first. Places on it are altitudes; from above distances, since a
+/// ray may leave the part at the altitude at which it has entered it.
+struct Way {
+    near: f32,
+    far: f32,
+}
+
+fn way_through(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f) -> Way {
+#ifdef ABOVE
+    let top = shell_roots(planet_radius_m, proxy.part.high_altitude_m, eye.position, eye.altitude_m, direction);
+    let base = shell_roots(planet_radius_m, proxy.part.low_altitude_m, eye.position, eye.altitude_m, direction);
+    let near_m = max(top.near_m, 1e-3);
+    let far_m = max(select(top.far_m, base.near_m, base.hit), near_m);
+    let is_above = proxy.from_above > 0u;
+    return Way(select(proxy.part.low_altitude_m, near_m, is_above), select(proxy.part.high_altitude_m, far_m, is_above));
+#else
+    return Way(proxy.part.low_altitude_m, proxy.part.high_altitude_m);
+#endif
+}
+
+/// A place of a viewer's way.
+fn point_at_place(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f, place: f32) -> vec3f {
+#ifdef ABOVE
+    if proxy.from_above > 0u { return eye.position + direction * place; }
+#endif
+    return point_at_altitude(planet_radius_m, eye, direction, place);
+}
+
+/// The place of a point beside a viewer's ray.
+fn place_beside(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f, point: vec3f) -> f32 {
+#ifdef ABOVE
+    if proxy.from_above > 0u { return dot(point - eye.position, direction); }
+#endif
+    return altitude_m(planet_radius_m, point);
 }
 
 /// What a texel tells of what it shows.
@@ -170,63 +232,69 @@ const CLOUD_DEPTH_M: f32 = 50.0;
 /// How fast a ray may get behind one surface, per m of its way.
 const CLOUD_SLOPE: f32 = 3.0;
 
-/// Finds the altitude of what a viewer sees: goes along its ray, from the near side of what the proxy keeps to its far one, until it is
+/// Finds the place of what a viewer sees: goes along its ray, from the near side of what the proxy keeps to its far one, until it is
 /// behind what the texels there show. Where that moves what is read by little, the texel on the sphere tells it.
 fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTable, direction: vec3f) -> Parallax {
-    var result = Parallax(proxy.altitude_m, vec3f(0.0));
-    let on_sphere = point_at_altitude(planet_radius_m, eye, direction, proxy.altitude_m);
+    let way = way_through(planet_radius_m, eye, proxy, direction);
+    let on_sphere = point_on_proxy(planet_radius_m, eye, proxy, direction);
+#ifdef ABOVE
+    let on_sphere_place = place_beside(planet_radius_m, eye, proxy, direction, on_sphere);
+#else
+    let on_sphere_place = proxy.altitude_m;
+#endif
+    var result = Parallax(on_sphere_place, vec3f(0.0));
     let first = shown_at(table, on_sphere - proxy.anchor);
     result.origin = select(vec3f(0.0), first.origin, first.held);
     let starts = proxy.anchor + result.origin;
     let seen = starts + normalize(on_sphere - starts) * first.distance_m;
-    let seen_m = clamp(altitude_m(planet_radius_m, seen), proxy.part.low_altitude_m, proxy.part.high_altitude_m);
-    result.height_m = select(proxy.altitude_m, seen_m, first.held);
+    let seen_place = clamp(place_beside(planet_radius_m, eye, proxy, direction, seen), way.near, way.far);
+    result.place = select(on_sphere_place, seen_place, first.held);
 
-    let from_base = normalize(point_at_altitude(planet_radius_m, eye, direction, proxy.part.low_altitude_m) - starts);
-    let from_top = normalize(point_at_altitude(planet_radius_m, eye, direction, proxy.part.high_altitude_m) - starts);
-    let wanted = u32(min(length(from_base - from_top) / (SEARCH_PIXELS * eye.pixel_angle_rad), f32(eye.parallax_steps)));
+    let from_near = normalize(point_at_place(planet_radius_m, eye, proxy, direction, way.near) - starts);
+    let from_far = normalize(point_at_place(planet_radius_m, eye, proxy, direction, way.far) - starts);
+    let wanted = u32(min(length(from_near - from_far) / (SEARCH_PIXELS * eye.pixel_angle_rad), f32(eye.parallax_steps)));
     let searches = select(0u, wanted, wanted > 1u);
-    var low_m = proxy.part.low_altitude_m;
-    var low_behind_m = NOTHING_BEHIND_M;
-    var high_m = proxy.part.high_altitude_m;
-    var high_behind_m = 0.0;
+    var near = way.near;
+    var near_behind_m = NOTHING_BEHIND_M;
+    var far = way.far;
+    var far_behind_m = 0.0;
     var is_hit = false;
-    var last = point_at_altitude(planet_radius_m, eye, direction, low_m);
+    var last = point_at_place(planet_radius_m, eye, proxy, direction, near);
     for (var i = 0u; i < searches && !is_hit; i += 1u) {
-        let height_m = mix(proxy.part.low_altitude_m, proxy.part.high_altitude_m, f32(i + 1u) / f32(max(searches, 1u)));
-        let point = point_at_altitude(planet_radius_m, eye, direction, height_m);
+        let place = mix(way.near, way.far, f32(i + 1u) / f32(max(searches, 1u)));
+        let point = point_at_place(planet_radius_m, eye, proxy, direction, place);
         let probed = probe_point(planet_radius_m, proxy, table, result, point);
         let is_behind = probed.behind_m >= 0.0;
         // A point far behind a cloud is no part of it: it is in what the cloud hides. Along one surface it gets behind by no
         // more than some times the way that it has come.
         let way_m = length(point - last);
-        let is_on_surface = probed.behind_m - low_behind_m < CLOUD_SLOPE * way_m;
+        let is_on_surface = probed.behind_m - near_behind_m < CLOUD_SLOPE * way_m;
         is_hit = is_behind && (probed.behind_m < CLOUD_DEPTH_SHARE * way_m + CLOUD_DEPTH_M || is_on_surface);
-        high_m = select(high_m, height_m, is_hit);
-        high_behind_m = select(high_behind_m, probed.behind_m, is_hit);
-        low_m = select(height_m, low_m, is_behind);
-        low_behind_m = select(probed.behind_m, select(low_behind_m, NOTHING_BEHIND_M, is_behind && !is_hit), is_behind);
+        far = select(far, place, is_hit);
+        far_behind_m = select(far_behind_m, probed.behind_m, is_hit);
+        near = select(place, near, is_behind);
+        near_behind_m = select(probed.behind_m, select(near_behind_m, NOTHING_BEHIND_M, is_behind && !is_hit), is_behind);
         result.origin = probed.origin;
         last = point;
     }
     // The interval in which the ray goes under the surface is narrowed. At an edge it ends in the cloud.
-    let follows = is_hit && low_behind_m > 0.5 * NOTHING_BEHIND_M;
+    let follows = is_hit && near_behind_m > 0.5 * NOTHING_BEHIND_M;
     for (var i = 0u; i < 2u; i += 1u) {
-        let between = clamp(low_behind_m / min(low_behind_m - high_behind_m, -1e-3), 0.1, 0.9);
-        let height_m = mix(low_m, high_m, select(0.5, between, follows));
-        let point = point_at_altitude(planet_radius_m, eye, direction, height_m);
+        let between = clamp(near_behind_m / min(near_behind_m - far_behind_m, -1e-3), 0.1, 0.9);
+        let place = mix(near, far, select(0.5, between, follows));
+        let point = point_at_place(planet_radius_m, eye, proxy, direction, place);
         let probed = probe_point(planet_radius_m, proxy, table, result, point);
         let is_behind = probed.behind_m >= 0.0;
-        let is_high = is_hit && is_behind && (follows || probed.opacity > 0.5);
-        let is_low = is_hit && !is_high;
-        high_m = select(high_m, height_m, is_high);
-        high_behind_m = select(high_behind_m, probed.behind_m, is_high);
-        low_m = select(low_m, height_m, is_low);
-        low_behind_m = select(low_behind_m, probed.behind_m, is_low && follows);
+        let is_far = is_hit && is_behind && (follows || probed.opacity > 0.5);
+        let is_near = is_hit && !is_far;
+        far = select(far, place, is_far);
+        far_behind_m = select(far_behind_m, probed.behind_m, is_far);
+        near = select(near, place, is_near);
+        near_behind_m = select(near_behind_m, probed.behind_m, is_near && follows);
     }
-    let between = clamp(low_behind_m / min(low_behind_m - high_behind_m, -1e-3), 0.0, 1.0);
-    let surface_m = mix(low_m, high_m, select(1.0, between, follows));
-    result.height_m = select(result.height_m, select(low_m, surface_m, is_hit), searches > 0u);
+    let between = clamp(near_behind_m / min(near_behind_m - far_behind_m, -1e-3), 0.0, 1.0);
+    let surface = mix(near, far, select(1.0, between, follows));
+    result.place = select(result.place, select(near, surface, is_hit), searches > 0u);
     return result;
 }
 #endif
@@ -241,16 +309,21 @@ struct Kept {
 fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hidden: bool) -> LayerRadiance {
     let proxy = kept.proxy;
     let table = kept.table;
+#ifdef ABOVE
+    let is_clear = hidden || passes_over(planet_radius_m, eye, proxy, direction);
+#else
+    let is_clear = hidden;
+#endif
 #ifdef PARALLAX
     let parallax = parallax_along(planet_radius_m, eye, proxy, table, direction);
-    let point = point_at_altitude(planet_radius_m, eye, direction, parallax.height_m);
-    var cloud = cached_radiance(table, place_of_point(planet_radius_m, proxy, parallax, point), hidden);
+    let point = point_at_place(planet_radius_m, eye, proxy, direction, parallax.place);
+    var cloud = cached_radiance(table, place_of_point(planet_radius_m, proxy, parallax, point), is_clear);
     // The viewer is as far from what it sees as it is, not as far as the origin of the texel's ray.
     cloud.opacity_distance_m *= length(point - eye.position) / max(length(point - proxy.anchor - parallax.origin), 1.0);
     return cloud;
 #else
-    let point = point_at_altitude(planet_radius_m, eye, direction, proxy.altitude_m);
-    return cached_radiance(table, point - proxy.anchor, hidden);
+    let point = point_on_proxy(planet_radius_m, eye, proxy, direction);
+    return cached_radiance(table, point - proxy.anchor, is_clear);
 #endif
 }
 

@@ -31,6 +31,9 @@
 #ifndef SCREEN_SPACE
 #import skycell::cached::Kept
 #ifdef SHOW_CACHE
+#ifdef ABOVE
+#import skycell::proxy::proxy_distance_m
+#endif
 #import skycell::show::cached_entry
 #else
 #import skycell::cached::cached_layer
@@ -80,7 +83,11 @@ fn layer_radiance(world: Scene, eye: View, layer: Layer, kept: array<Kept, #{PRO
     // Of the nearest part.
     let proxy = kept[0].proxy;
     let sphere = shell_roots(world.planet.radius_m, proxy.altitude_m, eye.position, eye.altitude_m, ray.direction);
+#ifdef ABOVE
+    let on_sphere = eye.position + ray.direction * proxy_distance_m(world.planet.radius_m, proxy, eye.position, sphere, ray.direction);
+#else
     let on_sphere = eye.position + ray.direction * max(sphere.far_m, 1e-3);
+#endif
     return cached_entry(kept[0].table, on_sphere - proxy.anchor, hidden);
 #else
     return cached_layer(world.planet.radius_m, eye, kept, ray.direction, hidden);

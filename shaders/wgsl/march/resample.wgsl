@@ -1,5 +1,7 @@
 // Tiles about a new anchor filled from those about the old one: what the cache holds at a point of the proxy sphere stays there.
-#import skycell::shell::{altitude_m, shell_roots}
+#import skycell::shell::altitude_m
+#import skycell::proxy::distance_to_proxy_m
+#import skycell::scene::Proxy
 #import skycell::octahedral::direction_from_octahedral
 #import skycell::texel_ray::{TILE_STRIDE, texel_in_level}
 #import skycell::accumulate::accumulated
@@ -27,7 +29,9 @@ struct Resample {
     proxy_altitude_m: f32,
     /// From the old frame's origin to the new one's, x and z, m.
     moved: vec2f,
-    pad_moved: vec2f,
+    /// As those of the proxy.
+    from_above: u32,
+    least_m: f32,
 }
 
 @group(0) @binding(0) var<uniform> resample: Resample;
@@ -55,10 +59,15 @@ fn resample_tiles(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation
     let stored = group.xy * 8u + local.xy;
     let square = (texel_in_level(item.tile, stored) + 0.5) / item.texels_per_side;
     let from_anchor = direction_from_octahedral(square);
-    let anchor_altitude = altitude_m(layer.planet_radius_m, layer.new_anchor);
-    let sphere = shell_roots(layer.planet_radius_m, layer.proxy_altitude_m, layer.new_anchor, anchor_altitude, from_anchor);
-    let on_sphere = layer.new_anchor + from_anchor * max(sphere.far_m, 1e-3);
-    let before = in_other_frame(layer.planet_radius_m, layer.proxy_altitude_m, on_sphere, layer.moved);
+    var proxy: Proxy;
+    proxy.anchor = layer.new_anchor;
+    proxy.altitude_m = layer.proxy_altitude_m;
+    proxy.from_above = layer.from_above;
+    proxy.least_m = layer.least_m;
+    let on_surface = layer.new_anchor + from_anchor * distance_to_proxy_m(layer.planet_radius_m, proxy, layer.new_anchor, from_anchor);
+    // From above not all of the surface is on the sphere.
+    let altitude = select(layer.proxy_altitude_m, altitude_m(layer.planet_radius_m, on_surface), layer.from_above > 0u);
+    let before = in_other_frame(layer.planet_radius_m, altitude, on_surface, layer.moved);
     let held = cached_radiance(item.table, before - layer.old_anchor, false);
     let radiance = vec4f(held.single, held.octaves, held.ambient, held.transmittance);
     let target_texel = vec2u(0u, item.place * TILE_STRIDE) + stored;

@@ -1,7 +1,8 @@
 #define_import_path skycell::texel_ray
 #import skycell::scene::Proxy
 #import skycell::octahedral::direction_from_octahedral
-#import skycell::shell::{altitude_m, shell_roots}
+#import skycell::shell::altitude_m
+#import skycell::proxy::distance_to_proxy_m
 
 /// Texels along a stored tile, its gutters of GUTTER texels on every side included.
 const TILE_STRIDE: u32 = 64u;
@@ -28,12 +29,12 @@ fn above_horizon(planet_radius_m: f32, direction: vec3f, position: vec3f) -> vec
     return normalize(vec3f(direction.x, max(direction.y, 2e-5 - dip), direction.z));
 }
 
-/// Direction from the reference point through the point of a proxy sphere that has a place of the octahedral
+/// Direction from the reference point through the point of a proxy's surface that has a place of the octahedral
 /// square, 0...1, as its address.
 fn texel_direction(planet_radius_m: f32, proxy: Proxy, reference: vec3f, square: vec2f) -> vec3f {
     let from_anchor = direction_from_octahedral(square);
-    let anchor_altitude = altitude_m(planet_radius_m, proxy.anchor);
-    let sphere = shell_roots(planet_radius_m, proxy.altitude_m, proxy.anchor, anchor_altitude, from_anchor);
-    let on_sphere = proxy.anchor + from_anchor * max(sphere.far_m, 1e-3);
-    return above_horizon(planet_radius_m, normalize(on_sphere - reference), reference);
+    let on_surface = proxy.anchor + from_anchor * distance_to_proxy_m(planet_radius_m, proxy, proxy.anchor, from_anchor);
+    let direction = normalize(on_surface - reference);
+    // From above nothing but the layer's own edge is hidden by the ground.
+    return select(above_horizon(planet_radius_m, direction, reference), direction, proxy.from_above > 0u);
 }

@@ -197,8 +197,10 @@ struct Proxy {
     part: Part,
     /// Index of the layer.
     layer: u32,
-    pad_x: u32,
-    pad_y: u32,
+    /// 1: anchor and reference are above the layer, and rays go down to it.
+    from_above: u32,
+    /// From above: rays that pass over the sphere have their places no nearer than this, m.
+    least_m: f32,
     pad_z: u32,
 }
 

@@ -221,6 +221,7 @@ impl<'a> CrowdTiles<'a> {
                         frame: anchored.frame,
                         anchor: anchored.frame.from_world(anchored.anchor_m(index, drifts)),
                         altitude_m: layer.proxy_altitude_m,
+                        top_m: between.top_altitude_m(),
                         reference: anchored.frame.from_world(cell.reference_m),
                         seen_between_m: Some([between.base_altitude_m(), between.top_altitude_m()]),
                     }
