@@ -107,8 +107,8 @@ fn a_box_high_above_its_proxy_sphere_stands_where_it_is_seen_from_aside() -> any
 }
 
 #[test]
-fn a_layer_in_slabs_looks_whole_from_the_reference_and_stands_better_beside_it() -> anyhow::Result<()>
-{
+fn a_layer_in_slabs_looks_whole_from_the_reference_and_stands_better_beside_it()
+-> anyhow::Result<()> {
     let mut still = renderer(Arc::default())?;
     let of = |offset_m, slabs| StillSettings {
         slabs,

@@ -95,8 +95,8 @@ impl ProxySphere {
 
     /// Normal of the surface at one of its points.
     fn normal(&self, point: DVec3) -> DVec3 {
-        let is_beyond = self.is_from_above()
-            && self.frame.altitude_m(point) > self.altitude_m + BEYOND_MIN_M;
+        let is_beyond =
+            self.is_from_above() && self.frame.altitude_m(point) > self.altitude_m + BEYOND_MIN_M;
         if is_beyond {
             let centre = 0.5 * (self.anchor - DVec3::Y * self.frame.planet_radius_m());
             (point - centre).normalize_or(DVec3::Y)
@@ -426,6 +426,82 @@ mod tests {
                 }
             }
         }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+        /// From above a layer, beside the reference and the anchor: the texel of a pixel that is not over the top has its tile, and so
+        /// has what is seen at each altitude of the layer.
+        #[test]
+        fn whatever_is_seen_from_above_has_its_tile(
+            yaw in 0.0..360.0f64, pitch in -90.0..30.0f64, fov in 5.0..100.0f64, place in 0..6usize,
+            x in -1.0..1.0f64, z in -1.0..1.0f64, rise in 0.7..1.4f64,
+        ) {
+            let altitude_m = [4_000.001, 4_100.0, 6_000.0, 12_000.0, 1e5, 4e5][place];
+            let aside_m = 0.3 * (altitude_m - 2_200.0_f64).min(1e4);
+            let frame = CellFrame::at(DVec3::ZERO, 6.36e6);
+            let eye = frame.from_world(DVec3::new(0.1 * x * aside_m, altitude_m, 0.0));
+            let sphere = ProxySphere {
+                frame,
+                anchor: frame.from_world(DVec3::new(x * aside_m, 2_200.0 + rise * (altitude_m - 2_200.0), z * aside_m)),
+                reference: frame.from_world(DVec3::new(0.1 * z * aside_m, altitude_m + 0.1 * x.abs() * aside_m, 0.0)),
+                seen_between_m: Some([1_500.0, 4_000.0]),
+                ..sphere()
+            };
+            let view = ViewFrustum { position: eye, ..view(yaw, pitch, fov, 64, 36) };
+            let tiles: std::collections::HashSet<TileKey> =
+                requested_tiles(&view, &sphere, 1.0).iter().map(|r| r.key).collect();
+            let is_asked_for = |place: DVec3| {
+                let square = octahedral_from_direction((place - sphere.anchor).normalize());
+                (0..LEVELS).any(|level| {
+                    let side = f64::from(TileKey::tiles_per_side(level));
+                    let at = (square * side).floor().min(DVec2::splat(side - 1.0));
+                    tiles.contains(&TileKey { level, x: at.x as u16, y: at.y as u16 })
+                })
+            };
+            for row in (0..36).step_by(3) {
+                for column in (0..64).step_by(3) {
+                    let x = 2.0 * (f64::from(column) + 0.5) / 64.0 - 1.0;
+                    let y = 1.0 - 2.0 * (f64::from(row) + 0.5) / 36.0;
+                    let direction = (view.forward + x * view.right + y * view.up).normalize();
+                    let top = frame.shell_roots_m(eye, direction, 4_000.0);
+                    let Some([near_m, far_m]) = top.filter(|top| top[0] > 0.0) else { continue; };
+                    let end_m = frame.shell_roots_m(eye, direction, 1_500.0).map_or(far_m, |base| base[0]);
+                    for share in [0.0, 0.3, 0.7, 1.0] {
+                        let seen = eye + direction * (near_m + share * (end_m - near_m));
+                        let along = (seen - sphere.reference).normalize();
+                        let place = sphere.reference + along * sphere.distance_m(sphere.reference, along);
+                        prop_assert!(is_asked_for(place), "pixel {column} {row}, {share} of the way");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn two_who_look_down_at_the_same_clouds_ask_for_the_same_tiles_and_nobody_for_what_is_over_them()
+     {
+        let frame = CellFrame::at(DVec3::ZERO, 6.36e6);
+        let at = |x: f64| frame.from_world(DVec3::new(x, 9_000.0, 0.0));
+        let sphere = ProxySphere {
+            anchor: at(0.0),
+            reference: at(0.0),
+            ..sphere()
+        };
+        let keys = |x: f64, pitch: f64| -> std::collections::HashSet<TileKey> {
+            let view = ViewFrustum {
+                position: at(x),
+                ..view(0.0, pitch, 60.0, 640, 360)
+            };
+            requested_tiles(&view, &sphere, 0.0)
+                .iter()
+                .map(|r| r.key)
+                .collect()
+        };
+        let (one, other) = (keys(0.0, -40.0), keys(50.0, -40.0));
+        let both = one.intersection(&other).count();
+        assert!(10 * both >= 9 * one.len(), "{both} of {}", one.len());
+        assert!(keys(0.0, 60.0).is_empty());
     }
 
     #[test]

@@ -2,9 +2,7 @@
 
 use super::renderer::SkyRenderer;
 use crate::audit::{AuditStats, AuditWindow, ShownLight, Texel};
-use crate::cache::{
-    GUTTER, ProxySphere, SphereId, TILE_INTERIOR, TileKey, TileUpdate, 
-};
+use crate::cache::{GUTTER, ProxySphere, SphereId, TILE_INTERIOR, TileKey, TileUpdate};
 use crate::gpu::{Gpu, Pipelines};
 use crate::march::{AUDIT_PLACES, AUDIT_TEXELS_MAX, AuditGroup, AuditMarch, finer, layer_features};
 use glam::{DVec2, DVec3};

@@ -167,9 +167,12 @@ impl SkyRenderer {
     pub(super) fn prepare_meters(&mut self) -> Result<(), GpuError> {
         let wanted = self.scene.tone().auto_exposure().is_some();
         if wanted {
-            let some_above = (self.active_cells.values())
-                .any(|cell| self.looks_down(cell.reference_m.y));
-            for above in [Some(false), some_above.then_some(true)].into_iter().flatten() {
+            let some_above =
+                (self.active_cells.values()).any(|cell| self.looks_down(cell.reference_m.y));
+            for above in [Some(false), some_above.then_some(true)]
+                .into_iter()
+                .flatten()
+            {
                 let key = self.meter_key(above);
                 self.pipelines.prepare(&self.gpu, key)?;
                 self.pipelines.prepare(&self.gpu, ground_key(key))?;

@@ -9,9 +9,7 @@ use super::renderer::SkyRenderer;
 use crate::cache::{
     ProxySphere, SphereCache, SphereId, TileKey, TileUpdate, octahedral_from_direction,
 };
-use crate::march::{
-    CellFrame, ResampleGroup, ResampledTile, least_from_above_m, record_resample,
-};
+use crate::march::{CellFrame, ResampleGroup, ResampledTile, least_from_above_m, record_resample};
 use glam::{DVec2, DVec3};
 use skycell_protocol::CellId;
 use skycell_shaders::layout;
@@ -120,18 +118,18 @@ impl SkyRenderer {
         });
         is_aright
             && (0..self.proxies.len() as u32).all(|proxy| {
-            let sphere_id = SphereId { cell: id, proxy };
-            let (sphere, reference) = (
-                self.caches.sphere(sphere_id),
-                self.drifting_reference(sphere_id),
-            );
-            match (sphere, reference) {
-                (Some(sphere), Some(reference)) => {
-                    sphere.coarse_is_shown() && !sphere.is_of_elsewhere(reference)
+                let sphere_id = SphereId { cell: id, proxy };
+                let (sphere, reference) = (
+                    self.caches.sphere(sphere_id),
+                    self.drifting_reference(sphere_id),
+                );
+                match (sphere, reference) {
+                    (Some(sphere), Some(reference)) => {
+                        sphere.coarse_is_shown() && !sphere.is_of_elsewhere(reference)
+                    }
+                    _ => false,
                 }
-                _ => false,
-            }
-        })
+            })
     }
 
     /// Submits the filling of one proxy's tiles.

@@ -31,7 +31,9 @@ impl Side {
 /// Base and top of each active layer, m.
 #[must_use]
 pub fn layer_bounds_m(scene: &Scene, active: &[ActiveLayer]) -> Vec<[f64; 2]> {
-    let layers = active.iter().map(|layer| &scene.layers()[layer.scene_index]);
+    let layers = active
+        .iter()
+        .map(|layer| &scene.layers()[layer.scene_index]);
     layers
         .map(|layer| [layer.base_altitude_m(), layer.top_altitude_m()])
         .collect()

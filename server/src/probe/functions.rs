@@ -21,6 +21,8 @@ pub enum FunctionQuestion {
     OneMinusExpOver = 5,
     /// The transfer function of sRGB.
     Srgb = 6,
+    /// A ray from above and the surface of a proxy.
+    ProxyFromAbove = 7,
 }
 
 /// Two vectors.
