@@ -369,6 +369,14 @@ gpu_struct! {
         near_m: f32,
         /// Largest distance from the ray's origin, m.
         far_m: f32,
+        /// The same in cloud, where it begins after the next gap, m.
+        near_gap_m: f32,
+        /// The same in cloud, where it ends with the next gap, m.
+        far_gap_m: f32,
+        /// Fills to 16 bytes.
+        pad_near: f32,
+        /// Fills to 16 bytes.
+        pad_far: f32,
     }
 }
 
@@ -377,18 +385,18 @@ gpu_struct! {
     Proxy {
         /// Centre of the octahedral addresses in the cell's frame, m.
         anchor: [f32; 3],
-        /// Altitude of the sphere, m.
+        /// Altitude of a shell; of a dome, the mean altitude of what it keeps, m.
         altitude_m: f32,
         /// What of a ray is kept.
         part: Part,
         /// Index of the layer.
         layer: u32,
+        /// Radius of a dome, m.
+        radius_m: f32,
         /// 1: anchor and reference are above the layer, and rays go down to it.
         from_above: u32,
-        /// From above: rays that pass over the sphere have their places no nearer than this, m.
+        /// From above: rays that pass over the shell have their places no nearer than this, m.
         least_m: f32,
-        /// Fills to 16 bytes.
-        pad_z: u32,
     }
 }
 
@@ -477,22 +485,22 @@ gpu_struct! {
 }
 
 gpu_struct! {
-    /// A layer's old and new addresses.
+    /// Old and new addresses of a part of a layer.
     Resample {
-        /// The new anchor, in the new frame.
-        new_anchor: [f32; 3],
+        /// About the new anchor, in the new frame.
+        new_proxy: Proxy,
+        /// About the old anchor, in the old frame.
+        old_proxy: Proxy,
+        /// Where rays start about the new anchor, in the new frame.
+        reference: [f32; 3],
         /// Radius of the ground, m.
         planet_radius_m: f32,
-        /// The old anchor, in the old frame.
-        old_anchor: [f32; 3],
-        /// Altitude of the proxy sphere, m.
-        proxy_altitude_m: f32,
         /// From the old frame's origin to the new one's, x and z, m.
         moved: [f32; 2],
-        /// As that of the proxy.
-        from_above: u32,
-        /// As that of the proxy.
-        least_m: f32,
+        /// Most places of a search for what the old texels show.
+        parallax_steps: u32,
+        /// Angle of a texel of the old tiles, rad.
+        texel_angle_rad: f32,
     }
 }
 

@@ -198,6 +198,10 @@ pub struct Features {
     pub layers: u32,
     /// Parts that each layer is kept in, 1 to 4 (composite of the cache).
     pub proxies: u32,
+    /// They lie on domes about their anchors instead of shells about the planet (march of texels, composite of the cache).
+    pub domes: bool,
+    /// They are bands of distance that end in gaps between clouds (march of texels).
+    pub bands: bool,
     /// How density comes about.
     pub density: Density,
     /// Catmull-Rom instead of bilinear reads of the cache.
@@ -212,7 +216,7 @@ pub struct Features {
     pub count_reads: bool,
     /// Viewers look for what cached texels show along their own rays (composite).
     pub parallax: bool,
-    /// Some layer is below the viewer (composite of the cache).
+    /// Some layer is below the viewer (march of texels, which may be below; composite of the cache).
     pub above: bool,
     /// Rays come from a list instead of a pinhole camera (screen-space renderer).
     pub ray_list: bool,
@@ -250,6 +254,8 @@ impl Default for Features {
             octave_vectors: 1,
             layers: 1,
             proxies: 1,
+            domes: false,
+            bands: false,
             density: Density::Weather,
             catmull_rom: true,
             linear_output: false,
@@ -291,6 +297,8 @@ impl Features {
                 octave_vectors: count.max(1),
                 layers: count,
                 proxies: 1 + (bits + count) % 4,
+                domes: (bits + count) % 3 != 0,
+                bands: (bits + count) % 3 == 1,
                 density: densities[((bits + count) % 4) as usize],
                 catmull_rom: bits & 1 != 0,
                 exact_interpolation: bits & 1 != 0,
@@ -348,6 +356,8 @@ impl Features {
                 "DENSITY_SHAPE",
                 matches!(self.density, Density::Homogeneous | Density::Grid),
             ),
+            ("DOMES", self.domes),
+            ("BANDS", self.bands && !self.window),
             ("CATMULL_ROM", self.catmull_rom),
             ("LINEAR_OUTPUT", self.linear_output),
             ("SCREEN_SPACE", self.screen_space),
@@ -396,12 +406,12 @@ const MODULES: &[(&str, &str)] = &[
         include_str!("../wgsl/geometry/shell.wgsl"),
     ),
     (
-        "geometry/proxy.wgsl",
-        include_str!("../wgsl/geometry/proxy.wgsl"),
-    ),
-    (
         "geometry/octahedral.wgsl",
         include_str!("../wgsl/geometry/octahedral.wgsl"),
+    ),
+    (
+        "geometry/surface.wgsl",
+        include_str!("../wgsl/geometry/surface.wgsl"),
     ),
     ("light/phase.wgsl", include_str!("../wgsl/light/phase.wgsl")),
     (

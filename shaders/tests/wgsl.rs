@@ -129,3 +129,50 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::WindowSlice>(Kernel::ResolveWindow);
     check::<layout::Window>(Kernel::ResolveWindow);
 }
+
+/// Names of a kernel's functions.
+fn functions(kernel: Kernel, features: Features) -> Vec<String> {
+    let module = compose(kernel, features).expect("composes");
+    let names = module.functions.iter().filter_map(|(_, function)| {
+        let name = function.name.as_deref()?;
+        Some(plain_name(name).to_owned())
+    });
+    names.collect()
+}
+
+#[test]
+fn nothing_of_domes_is_compiled_in_where_texels_lie_on_shells() {
+    let kernels = [
+        Kernel::MarchTexels,
+        Kernel::AuditTexels,
+        Kernel::Composite,
+        Kernel::ResampleTiles,
+    ];
+    let has = |features, word: &str| {
+        kernels.map(|kernel| {
+            functions(kernel, features)
+                .iter()
+                .any(|name| name.contains(word))
+        })
+    };
+    for parallax in [false, true] {
+        let shells = Features {
+            parallax,
+            ..Features::default()
+        };
+        let domes = Features {
+            domes: true,
+            bands: true,
+            ..shells
+        };
+        assert_eq!(has(shells, "dome"), [false; 4]);
+        assert_eq!(has(shells, "band"), [false; 4]);
+        assert_eq!(has(domes, "dome"), [true; 4]);
+        assert_eq!(has(domes, "band"), [true, true, false, false]);
+        let bandless = Features {
+            bands: false,
+            ..domes
+        };
+        assert_eq!(has(bandless, "band"), [false; 4]);
+    }
+}

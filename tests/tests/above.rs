@@ -135,8 +135,8 @@ fn a_surface_that_is_taken_from_below_is_found() -> Outcome {
     let camera = Camera::new([0.0, 8_000.0, 0.0], 0.0, -25.0, 60.0)?;
     still.plant(Some(|path, source| match path {
         "composite/cached.wgsl" => source.replace(
-            "eye.position + direction * proxy_distance_m(planet_radius_m, proxy, eye.position, sphere, direction)",
-            "eye.position + direction * max(sphere.far_m, 1e-3)",
+            "let point = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);",
+            "let point = point_at_altitude(planet_radius_m, eye, direction, proxy.altitude_m);",
         ),
         _ => source.to_owned(),
     }))?;

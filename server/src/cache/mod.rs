@@ -11,7 +11,7 @@ pub use address::{
     octahedral_from_direction, texel_solid_angle_sr,
 };
 pub use pool::{Slot, SlotPool};
-pub use requests::{ProxySphere, TileRequest, ViewFrustum, coarse_tiles, requested_tiles};
+pub use requests::{Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, requested_tiles};
 pub use sphere::{NO_TILE, PageTables, SphereCache, Want};
 
 use glam::{DVec2, DVec3};
@@ -176,12 +176,14 @@ impl Caches {
 
     /// Gives the tiles that a sphere wants slots as far as there are any, to be filled from those of the sphere that was in its
     /// place; `places` are the tile's in the octahedral square of that one, and `reference` is where rays start. Tiles of which
-    /// the old sphere shows nothing are left out. Returns what is to be filled.
+    /// the old sphere shows nothing are left out. `reprojected`: they are filled with what is seen from the reference. Returns
+    /// what is to be filled.
     pub fn resample(
         &mut self,
         id: SphereId,
         old: &SphereCache,
         reference: DVec3,
+        reprojected: bool,
         places: impl Fn(TileKey) -> Vec<DVec2>,
     ) -> Vec<(TileKey, Slot)> {
         let mut filled = Vec::new();
@@ -201,6 +203,9 @@ impl Caches {
             };
             if let Some(sphere) = self.spheres.get_mut(&id) {
                 sphere.insert_resampled(key, slot, old, &sources, reference, self.frame);
+                if reprojected {
+                    sphere.shows_from(&key, reference);
+                }
                 filled.push((key, slot));
             }
         }

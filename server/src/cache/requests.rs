@@ -1,7 +1,7 @@
 //! Which tiles a viewer needs: those inside its frustum and above its horizon, at the level of its pixels.
 
-use super::address::{LEVELS, TileKey, texel_solid_angle_sr};
-use crate::march::{CellFrame, least_from_above_m};
+use super::address::{LEVELS, TILE_INTERIOR, TileKey, texel_solid_angle_sr};
+use crate::march::{CellFrame, Surface};
 use glam::{DVec2, DVec3};
 
 /// A texel may look this much wider than the pixel that shows it before the next level is asked for. At 0.8 a picture of
@@ -24,27 +24,50 @@ pub struct ViewFrustum {
     pub pixel_angle_rad: f64,
 }
 
-/// From above, a point that is so far over the sphere is not on it, m.
-const BEYOND_MIN_M: f64 = 0.1;
-
 /// Where a layer's texels lie.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProxySphere {
     /// The cell's frame.
     pub frame: CellFrame,
-    /// Centre of the addresses, inside the sphere, in the cell's frame.
+    /// Centre of the addresses, inside the surface, in the cell's frame.
     pub anchor: DVec3,
-    /// Altitude of the sphere, m.
-    pub altitude_m: f64,
-    /// Top of what it keeps, m: from above no ray that passes over it is asked for.
-    pub top_m: f64,
+    /// The surface.
+    pub surface: Surface,
+    /// Top of what it keeps, m, where rays go down to it: none that passes over it is asked for.
+    pub top_m: Option<f64>,
     /// Where rays start, in the cell's frame.
     pub reference: DVec3,
     /// Altitudes between which a viewer away from there looks for what a texel shows, m; without, on the sphere alone.
     pub seen_between_m: Option<[f64; 2]>,
+    /// What it keeps of its layer, where that is not all.
+    pub band: Option<Band>,
+}
+
+/// What is between two distances from where rays start, of a layer between two altitudes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Band {
+    /// The layer's altitudes, m.
+    pub altitudes_m: [f64; 2],
+    /// The distances, m.
+    pub distances_m: [f64; 2],
 }
 
 impl ProxySphere {
+    /// The point of the surface in a direction from the anchor.
+    #[must_use]
+    pub fn point(&self, from_anchor: DVec3) -> DVec3 {
+        self.point_along(self.anchor, from_anchor)
+    }
+
+    /// The point of the surface along a ray from inside it.
+    #[must_use]
+    pub fn point_along(&self, from: DVec3, direction: DVec3) -> DVec3 {
+        from + direction
+            * self
+                .surface
+                .distance_m(&self.frame, self.anchor, from, direction)
+    }
+
     /// Whether there may be anything to see in a direction from an eye: from below not under the horizon, from above not over
     /// the top.
     #[must_use]
@@ -59,66 +82,53 @@ impl ProxySphere {
         }
     }
 
-    /// Whether it is seen from above.
-    #[must_use]
-    pub fn is_from_above(&self) -> bool {
-        self.frame.altitude_m(self.anchor) > self.altitude_m
-    }
-
-    /// Distance from a point along a unit direction to the surface, m: the sphere, and from above what stands for it where
-    /// rays from the anchor pass over it (`geometry/proxy.wgsl`).
-    #[must_use]
-    pub fn distance_m(&self, from: DVec3, direction: DVec3) -> f64 {
-        let (frame, altitude_m) = (&self.frame, self.altitude_m);
-        let Some(least_m) = least_from_above_m(frame, self.anchor, altitude_m) else {
-            return frame.distance_to_shell_m(from, direction, altitude_m);
-        };
-        let near_m = frame.shell_roots_m(from, direction, altitude_m);
-        let seen_m = near_m.map(|[near_m, _]| near_m).filter(|near_m| {
-            let point = from + direction * near_m;
-            *near_m > 0.0 && (self.anchor - point).dot(frame.up(point)) >= 0.0
-        });
-        seen_m.unwrap_or_else(|| {
-            let from_anchor = from - self.anchor;
-            let from_centre = from + DVec3::Y * frame.planet_radius_m();
-            let b = 0.5 * (direction.dot(from_anchor) + direction.dot(from_centre));
-            let c = from_anchor.dot(from_centre);
-            ((b * b - c).max(0.0).sqrt() - b).max(least_m)
-        })
-    }
-
-    /// The point of the surface in a direction from the anchor.
-    #[must_use]
-    pub fn point(&self, from_anchor: DVec3) -> DVec3 {
-        self.anchor + from_anchor * self.distance_m(self.anchor, from_anchor)
-    }
-
-    /// Normal of the surface at one of its points.
-    fn normal(&self, point: DVec3) -> DVec3 {
-        let is_beyond =
-            self.is_from_above() && self.frame.altitude_m(point) > self.altitude_m + BEYOND_MIN_M;
-        if is_beyond {
-            let centre = 0.5 * (self.anchor - DVec3::Y * self.frame.planet_radius_m());
-            (point - centre).normalize_or(DVec3::Y)
-        } else {
-            self.frame.up(point)
-        }
-    }
-
     /// Where a ray from the reference enters and leaves what is kept between two altitudes; none where it passes over it.
     fn ends_between(&self, along: DVec3, [low_m, high_m]: [f64; 2]) -> Option<[DVec3; 2]> {
         let (frame, from) = (&self.frame, self.reference);
-        let ends_m = if self.is_from_above() {
+        let ends_m = if self.top_m.is_some() {
             let [enters_m, leaves_m] = frame.shell_roots_m(from, along, high_m)?;
             let base_m = frame.shell_roots_m(from, along, low_m);
             [enters_m, base_m.map_or(leaves_m, |[near_m, _]| near_m)]
         } else {
             [low_m, high_m].map(|altitude_m| frame.distance_to_shell_m(from, along, altitude_m))
         };
+        let ends_m = ends_m.map(|distance_m| {
+            self.band.map_or(distance_m, |band| {
+                let [near_m, far_m] = band.distances_m;
+                distance_m.clamp(near_m, far_m)
+            })
+        });
         Some(ends_m.map(|distance_m| from + along * distance_m))
     }
 
-    /// Where what the texel at a point of the sphere shows may be: on its ray.
+    /// Whether some texel of a tile may hold something: away from the band's directions, nothing is marched.
+    fn may_hold(&self, tile: TileKey) -> bool {
+        let Some(band) = self.band.filter(|_| self.top_m.is_none()) else {
+            return true;
+        };
+        // Between the places that are looked at, directions are this far away from one of them at most: tiles are up to twice
+        // as long as wide.
+        let between_rad = 0.5 * texel_solid_angle_sr(tile.level).sqrt() * f64::from(TILE_INTERIOR);
+        (0..9).any(|index| {
+            let within = DVec2::new(f64::from(index % 3), f64::from(index / 3)) / 2.0;
+            let along =
+                (self.point(tile.direction(within)) - self.reference).normalize_or(DVec3::Y);
+            let across = along.with_y(0.0).normalize_or(DVec3::X);
+            let elevation_rad = along.y.clamp(-1.0, 1.0).asin();
+            // The layer is nearest where a ray is steepest.
+            let distance_m = |elevation_rad: f64, altitude_m: f64| {
+                let elevation_rad = elevation_rad.clamp(0.0, std::f64::consts::FRAC_PI_2);
+                let direction = across * elevation_rad.cos() + DVec3::Y * elevation_rad.sin();
+                self.frame
+                    .distance_to_shell_m(self.reference, direction, altitude_m)
+            };
+            let nearest_m = distance_m(elevation_rad + between_rad, band.altitudes_m[0]);
+            let farthest_m = distance_m(elevation_rad - between_rad, band.altitudes_m[1]);
+            nearest_m <= band.distances_m[1] && farthest_m >= band.distances_m[0]
+        })
+    }
+
+    /// Where what the texel at a point of the surface shows may be: on its ray.
     fn seen_at(&self, point: DVec3) -> impl Iterator<Item = DVec3> {
         let along = (point - self.reference).normalize_or_zero();
         let between_m = self.seen_between_m;
@@ -181,7 +191,7 @@ fn seen_tile(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> SeenTile {
     }
     let from_anchor = middle - sphere.anchor;
     let from_eye = middle - eye;
-    let normal = sphere.normal(middle);
+    let normal = (sphere.surface).normal(&sphere.frame, sphere.anchor, middle);
     let slant = |v: DVec3| v.normalize_or_zero().dot(normal).abs().max(1e-3);
     let solid_angle_ratio = from_anchor.length_squared() / from_eye.length_squared().max(1.0)
         * slant(from_eye)
@@ -207,21 +217,22 @@ struct Visible {
 impl Visible {
     fn of(sphere: &ProxySphere, eye: DVec3) -> Self {
         let frame = &sphere.frame;
-        let from_above = sphere.is_from_above();
+        let Some(top_m) = sphere.top_m else {
+            return Self {
+                dip_rad: horizon_dip_rad(frame, eye),
+                from_above: false,
+                // The frame's own will do: the ground's edge is wide of it by less than a tile.
+                up: DVec3::Y,
+            };
+        };
+        // Where a ray touches the top.
+        let height_m = (frame.altitude_m(eye) - top_m).max(0.0);
+        let from_centre_m = frame.planet_radius_m() + top_m;
+        let touches_m = (height_m * (2.0 * from_centre_m + height_m)).sqrt();
         Self {
-            dip_rad: if from_above {
-                // Where a ray touches the top.
-                let height_m = (frame.altitude_m(eye) - sphere.top_m).max(0.0);
-                let top_from_centre_m = frame.planet_radius_m() + sphere.top_m;
-                (height_m * (2.0 * top_from_centre_m + height_m))
-                    .sqrt()
-                    .atan2(top_from_centre_m)
-            } else {
-                horizon_dip_rad(frame, eye)
-            },
-            from_above,
-            // From below the frame's own will do: there directions are compared with the ground's edge in its own middle.
-            up: if from_above { frame.up(eye) } else { DVec3::Y },
+            dip_rad: touches_m.atan2(from_centre_m),
+            from_above: true,
+            up: frame.up(eye),
         }
     }
 
@@ -282,7 +293,7 @@ pub fn requested_tiles(
     let mut open: Vec<TileKey> = TileKey::all_of(0).collect();
     while let Some(tile) = open.pop() {
         let seen = seen_tile(sphere, tile, view.position);
-        if !may_be_seen(&seen, &planes, &visible) {
+        if !may_be_seen(&seen, &planes, &visible) || !sphere.may_hold(tile) {
             continue;
         }
         // A pixel θ off the middle has cos³θ of the solid angle.
@@ -309,7 +320,7 @@ pub fn coarse_tiles(sphere: &ProxySphere, eye: DVec3) -> Vec<TileRequest> {
     TileKey::all_of(0)
         .filter_map(|key| {
             let seen = seen_tile(sphere, key, eye);
-            may_be_seen(&seen, &[], &visible).then_some(TileRequest {
+            (may_be_seen(&seen, &[], &visible) && sphere.may_hold(key)).then_some(TileRequest {
                 key,
                 eccentricity_rad: std::f64::consts::FRAC_PI_2 - seen.axis.y.clamp(-1.0, 1.0).asin(),
                 distance_m: seen.distance_m,
@@ -346,10 +357,26 @@ mod tests {
         ProxySphere {
             frame: CellFrame::at(DVec3::ZERO, 6.36e6),
             anchor: DVec3::new(300.0, 0.0, -200.0),
-            altitude_m: 2_200.0,
-            top_m: 4_000.0,
+            surface: Surface::Shell {
+                altitude_m: 2_200.0,
+            },
+            top_m: None,
             reference: DVec3::ZERO,
             seen_between_m: None,
+            band: None,
+        }
+    }
+
+    /// The same about an anchor above it.
+    fn from_above(anchor: DVec3, reference: DVec3) -> ProxySphere {
+        let sphere = sphere();
+        ProxySphere {
+            anchor,
+            reference,
+            surface: Surface::shell(&sphere.frame, anchor, 2_200.0),
+            top_m: Some(4_000.0),
+            seen_between_m: Some([1_500.0, 4_000.0]),
+            ..sphere
         }
     }
 
@@ -377,8 +404,7 @@ mod tests {
                     let y = 1.0 - 2.0 * (f64::from(row) + 0.5) / 36.0;
                     let direction = (view.forward + x * view.right + y * view.up).normalize();
                     if direction.y < 0.0 { continue; }
-                    let distance = sphere.frame.distance_to_shell_m(view.position, direction, sphere.altitude_m);
-                    let point = view.position + direction * distance;
+                    let point = sphere.point_along(view.position, direction);
                     let square = octahedral_from_direction((point - sphere.anchor).normalize());
                     let found = (0..LEVELS).any(|level| {
                         let side = f64::from(TileKey::tiles_per_side(level));
@@ -413,8 +439,7 @@ mod tests {
                         let seen_m = sphere.frame.distance_to_shell_m(view.position, direction, altitude_m);
                         let seen = view.position + direction * seen_m;
                         let along = (seen - sphere.reference).normalize();
-                        let shell_m = sphere.frame.distance_to_shell_m(sphere.reference, along, sphere.altitude_m);
-                        let place = sphere.reference + along * shell_m - sphere.anchor;
+                        let place = sphere.point_along(sphere.reference, along) - sphere.anchor;
                         let square = octahedral_from_direction(place.normalize());
                         let found = (0..LEVELS).any(|level| {
                             let side = f64::from(TileKey::tiles_per_side(level));
@@ -441,13 +466,10 @@ mod tests {
             let aside_m = 0.3 * (altitude_m - 2_200.0_f64).min(1e4);
             let frame = CellFrame::at(DVec3::ZERO, 6.36e6);
             let eye = frame.from_world(DVec3::new(0.1 * x * aside_m, altitude_m, 0.0));
-            let sphere = ProxySphere {
-                frame,
-                anchor: frame.from_world(DVec3::new(x * aside_m, 2_200.0 + rise * (altitude_m - 2_200.0), z * aside_m)),
-                reference: frame.from_world(DVec3::new(0.1 * z * aside_m, altitude_m + 0.1 * x.abs() * aside_m, 0.0)),
-                seen_between_m: Some([1_500.0, 4_000.0]),
-                ..sphere()
-            };
+            let sphere = from_above(
+                frame.from_world(DVec3::new(x * aside_m, 2_200.0 + rise * (altitude_m - 2_200.0), z * aside_m)),
+                frame.from_world(DVec3::new(0.1 * z * aside_m, altitude_m + 0.1 * x.abs() * aside_m, 0.0)),
+            );
             let view = ViewFrustum { position: eye, ..view(yaw, pitch, fov, 64, 36) };
             let tiles: std::collections::HashSet<TileKey> =
                 requested_tiles(&view, &sphere, 1.0).iter().map(|r| r.key).collect();
@@ -470,7 +492,7 @@ mod tests {
                     for share in [0.0, 0.3, 0.7, 1.0] {
                         let seen = eye + direction * (near_m + share * (end_m - near_m));
                         let along = (seen - sphere.reference).normalize();
-                        let place = sphere.reference + along * sphere.distance_m(sphere.reference, along);
+                        let place = sphere.point_along(sphere.reference, along);
                         prop_assert!(is_asked_for(place), "pixel {column} {row}, {share} of the way");
                     }
                 }
@@ -483,11 +505,7 @@ mod tests {
      {
         let frame = CellFrame::at(DVec3::ZERO, 6.36e6);
         let at = |x: f64| frame.from_world(DVec3::new(x, 9_000.0, 0.0));
-        let sphere = ProxySphere {
-            anchor: at(0.0),
-            reference: at(0.0),
-            ..sphere()
-        };
+        let sphere = from_above(at(0.0), at(0.0));
         let keys = |x: f64, pitch: f64| -> std::collections::HashSet<TileKey> {
             let view = ViewFrustum {
                 position: at(x),

@@ -67,6 +67,7 @@ pub fn composite_key(
             octave_vectors: 1,
             layers: blend.layers as u32,
             proxies: if screen_space { 1 } else { blend.proxies },
+            domes: !screen_space && blend.domes,
             own_phases: blend.own_phases,
             overlap: blend.overlap,
             density: Density::Homogeneous,
@@ -143,6 +144,7 @@ pub fn ground_key(key: PipelineKey) -> PipelineKey {
         features: Features {
             layers: 0,
             proxies: 1,
+            domes: false,
             own_phases: false,
             overlap: false,
             catmull_rom: false,

@@ -8,7 +8,9 @@ mod tests;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
-use crate::march::PROXIES_PER_LAYER_MAX;
+use crate::march::{
+    BANDS, BandEnds, DOME_FOLLOW_M, PROXIES_PER_LAYER_MAX, ProxySettings, ProxySetup,
+};
 use crate::quality::PARALLAX_STEPS_MAX;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -88,8 +90,8 @@ pub struct RenderConfig {
     /// Most places along a ray at which viewers away from a reference look for what texels show. Without: what the quality
     /// says, and less on a software driver.
     pub parallax_steps: Option<u32>,
-    /// Slabs of altitude that each layer is cut into, each kept on a proxy sphere of its own, 1 to 4.
-    pub slabs: u32,
+    /// What layers are kept on: keys `proxies`, `slabs`, `bands`, `band_ends` and `dome_follow_m`.
+    pub proxies: ProxySettings,
     /// Where noise volumes are kept between runs.
     pub noise_cache_dir: PathBuf,
     /// Where the files of voxels lie that scenes name: `grids` in the folder of the state.
@@ -135,7 +137,7 @@ impl RenderConfig {
             march_steps: None,
             frame_filter: None,
             parallax_steps: None,
-            slabs: 1,
+            proxies: ProxySettings::default(),
             grids_dir: noise_cache_dir.join("grids"),
             maps_dir: noise_cache_dir.join("maps"),
             noise_cache_dir,
@@ -152,7 +154,11 @@ impl RenderConfig {
             "march_steps",
             "frame_filter",
             "parallax_steps",
+            "proxies",
             "slabs",
+            "bands",
+            "band_ends",
+            "dome_follow_m",
             "noise_cache_dir",
         ])?;
         Ok(Self {
@@ -184,13 +190,50 @@ impl RenderConfig {
                 }
                 None => default.parallax_steps,
             },
-            slabs: count(&members, "slabs", SLABS, default.slabs)?,
+            proxies: read_proxies(&members, default.proxies)?,
             noise_cache_dir: members
                 .optional::<String>("noise_cache_dir")?
                 .map_or(default.noise_cache_dir, PathBuf::from),
             grids_dir: default.grids_dir,
             maps_dir: default.maps_dir,
         })
+    }
+}
+
+/// What layers are kept on.
+fn read_proxies(
+    members: &ObjectReader<'_>,
+    default: ProxySettings,
+) -> Result<ProxySettings, ValueError> {
+    let settings = ProxySettings {
+        setup: members.member_or("proxies", default.setup)?,
+        slabs: count(members, "slabs", SLABS, default.slabs)?,
+        bands: count(members, "bands", BANDS, default.bands)?,
+        band_ends: members.member_or("band_ends", default.band_ends)?,
+        follow_m: number(members, "dome_follow_m", DOME_FOLLOW_M, default.follow_m)?,
+    };
+    settings.checked().map_err(|error| {
+        let allowed = format!(
+            "1 with {}: domes are not cut into slabs",
+            error.setup.name()
+        );
+        ValueError::new(
+            members.pointer_of("slabs"),
+            &Value::from(error.slabs),
+            allowed,
+        )
+    })
+}
+
+impl ReadJson for ProxySetup {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        read_name(value, pointer, &Self::NAMES)
+    }
+}
+
+impl ReadJson for BandEnds {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        read_name(value, pointer, &[("gaps", Self::Gaps), ("cut", Self::Cut)])
     }
 }
 

@@ -43,7 +43,11 @@ const KEYS: &[(&str, Kind)] = &[
     ("render/march_steps", Kind::Number),
     ("render/frame_filter", Kind::Text),
     ("render/parallax_steps", Kind::Number),
+    ("render/proxies", Kind::Text),
     ("render/slabs", Kind::Number),
+    ("render/bands", Kind::Number),
+    ("render/band_ends", Kind::Text),
+    ("render/dome_follow_m", Kind::Number),
     ("render/noise_cache_dir", Kind::Text),
 ];
 

@@ -129,14 +129,7 @@ impl SkyRenderer {
     fn proxy_and_eye(&self, sphere: SphereId) -> Option<(ProxySphere, DVec3)> {
         let cell = self.active_cells.get(&sphere.cell)?;
         let kept = self.proxies.get(sphere.proxy as usize)?;
-        let proxy = ProxySphere {
-            frame: cell.frame,
-            anchor: self.anchor_m(cell, kept.layer),
-            altitude_m: kept.altitude_m,
-            top_m: kept.between_m[1],
-            reference: cell.frame.from_world(cell.reference_m),
-            seen_between_m: None,
-        };
+        let proxy = self.sphere_of(cell, kept);
         Some((proxy, proxy.reference))
     }
 
@@ -179,11 +172,13 @@ impl SkyRenderer {
             &self.atlas,
             &AuditGroup {
                 cell: &cell.buffers,
-                features: cell.buffers.march_features(layer_features(
-                    &self.scene,
-                    scene_index,
-                    &cell.settings,
-                )),
+                features: self
+                    .kept_on
+                    .features(cell.buffers.march_features(layer_features(
+                        &self.scene,
+                        scene_index,
+                        &cell.settings,
+                    ))),
                 scene: &scene,
                 work,
             },

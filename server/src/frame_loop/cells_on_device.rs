@@ -3,10 +3,11 @@
 use super::metering::Meter;
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
-use crate::cache::{ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
+use crate::cache::{Band, ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
 use crate::composite::view_frustum;
 use crate::march::{
-    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Side, scene_uniform,
+    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, ProxySetup, Side,
+    Surface, scene_uniform,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, Scene, ViewerId};
@@ -20,6 +21,9 @@ const ANCHOR_DRIFT_MAX_M: f64 = 4_000.0;
 const ANCHOR_RISE_MAX: f64 = 0.5;
 /// Heights above the reference count as this at least, m.
 const SPHERE_HEIGHT_MIN_M: f64 = 100.0;
+
+/// A dome is left by who is farther from its middle than this share of its radius.
+const DOME_LEFT_SHARE: f64 = 0.5;
 
 /// Under wind tiles move past the viewers; what they need is looked up this often. At 50 m/s that is 2.5 m.
 const REQUESTS_INTERVAL: Duration = Duration::from_millis(50);
@@ -112,18 +116,31 @@ impl ActiveCell {
 pub(super) fn parallax_steps(
     scene: &Scene,
     active: &[ActiveLayer],
+    domes: bool,
     viewer: &ActiveViewer,
-    reference_m: DVec3,
+    cell: &ActiveCell,
 ) -> u32 {
     let camera = &viewer.view.camera;
-    let away_m = DVec3::from_array(camera.position_m()).distance(reference_m);
+    let reference_m = cell.reference_m;
+    let eye_m = DVec3::from_array(camera.position_m());
+    // A dome keeps what was marched from about its anchor while the reference goes on.
+    let anchor_m = cell.anchors.first().filter(|_| domes);
+    let away_m = anchor_m
+        .map_or(0.0, |anchor| anchor.at_start_m.distance(eye_m))
+        .max(reference_m.distance(eye_m));
     let pixel_rad = 2.0 * (camera.vertical_fov_deg().to_radians() / 2.0).tan()
         / f64::from(viewer.view.size.height());
     let is_seen = active.iter().any(|layer| {
         let layer = &scene.layers()[layer.scene_index];
         let [base_m, top_m] = [layer.base_altitude_m(), layer.top_altitude_m()]
             .map(|altitude_m| (altitude_m - reference_m.y).abs().max(LAYER_NEAREST_M));
-        away_m * (1.0 / base_m - 1.0 / top_m).abs() > PARALLAX_PIXELS * pixel_rad
+        // A shell is in the layer; a dome is as far as the sky anywhere.
+        let between_per_m = if domes {
+            1.0 / base_m.min(top_m)
+        } else {
+            (1.0 / base_m - 1.0 / top_m).abs()
+        };
+        away_m * between_per_m > PARALLAX_PIXELS * pixel_rad
     });
     if is_seen {
         viewer.quality.settings.parallax_steps
@@ -238,7 +255,9 @@ impl SkyRenderer {
                 }
                 continue;
             }
+            let stays = self.dome_stays(id, reference_m);
             match self.active_cells.get_mut(&id) {
+                Some(_) if stays => {}
                 Some(cell) if cell.reference_m != reference_m => {
                     let is_through_layer = !limit.share_storey(cell.reference_m, reference_m);
                     cell.follow(reference_m, passed_s, is_through_layer);
@@ -289,6 +308,26 @@ impl SkyRenderer {
         cell.frame.from_world(anchor.at_start_m + drift.with_y(0.0))
     }
 
+    /// Where a proxy's texels lie in a cell.
+    pub(super) fn sphere_of(&self, cell: &ActiveCell, proxy: &Proxy) -> ProxySphere {
+        let anchor = self.anchor_m(cell, proxy.layer);
+        let distances_m = proxy.band_m(&cell.frame, anchor);
+        ProxySphere {
+            frame: cell.frame,
+            anchor,
+            surface: proxy.surface(&cell.frame, anchor),
+            top_m: proxy
+                .is_from_above(&cell.frame, anchor)
+                .then_some(proxy.between_m[1]),
+            reference: cell.frame.from_world(cell.reference_m),
+            seen_between_m: None,
+            band: distances_m.map(|distances_m| Band {
+                altitudes_m: proxy.between_m,
+                distances_m,
+            }),
+        }
+    }
+
     /// Reference point of a sphere in the frame that drifts with its layer.
     pub(super) fn drifting_reference(&self, sphere: SphereId) -> Option<DVec3> {
         let cell = self.active_cells.get(&sphere.cell)?;
@@ -323,6 +362,42 @@ impl SkyRenderer {
         }
     }
 
+    /// Radius of a cell's smallest dome, m.
+    fn smallest_dome_m(&self, cell: &ActiveCell) -> Option<f64> {
+        let radius_m = |proxy| match self.sphere_of(cell, proxy).surface {
+            Surface::Dome { radius_m } => Some(radius_m),
+            Surface::Shell { .. } | Surface::ShellFromAbove { .. } => None,
+        };
+        self.proxies
+            .iter()
+            .filter_map(radius_m)
+            .min_by(f64::total_cmp)
+    }
+
+    /// Whether a static dome goes on being marched from where it began, though viewers are about another place by now.
+    fn dome_stays(&self, id: CellId, reference_m: DVec3) -> bool {
+        self.kept_on.setup == ProxySetup::StaticDome
+            && self.active_cells.get(&id).is_some_and(|cell| {
+                let limit_m = self
+                    .smallest_dome_m(cell)
+                    .map_or(0.0, |radius_m| DOME_LEFT_SHARE * radius_m);
+                cell.reference_m.distance(reference_m) <= limit_m
+                    && (self.cells.limit()).share_storey(cell.reference_m, reference_m)
+            })
+    }
+
+    /// How far aside of a cell's reference its anchors may be, m, and how far above or below it, as a share of a layer's height.
+    fn anchors_may_be_off(&self, cell: &ActiveCell) -> (f64, f64) {
+        if self.kept_on.follows() {
+            return (self.kept_on.follow_m, 0.0);
+        }
+        // The reference stays well inside its domes.
+        let inside_m = self
+            .smallest_dome_m(cell)
+            .map_or(f64::INFINITY, |radius_m| DOME_LEFT_SHARE * radius_m);
+        (ANCHOR_DRIFT_MAX_M.min(inside_m), ANCHOR_RISE_MAX)
+    }
+
     /// Whether texels of a cell no longer have even sizes for its viewers.
     fn anchors_are_far(&self, id: CellId) -> bool {
         let Some(cell) = self.active_cells.get(&id) else {
@@ -338,16 +413,21 @@ impl SkyRenderer {
         if in_cell.peek().is_none() {
             return false;
         }
+        let (aside_max_m, rise_max) = self.anchors_may_be_off(cell);
+        let follow_m = if self.kept_on.follows() {
+            self.kept_on.follow_m
+        } else {
+            0.0
+        };
         // Those with rays of their own have windows that a new frame of the cell would end.
         let is_read = in_cell.any(ActiveViewer::reads_cache);
         self.active.iter().enumerate().any(|(place, layer)| {
             let off = self.anchor_m(cell, place) - reference;
             let height_m = layer.proxy_altitude_m - cell.frame.altitude_m(reference);
-            let rise_max_m = ANCHOR_RISE_MAX * height_m.abs().max(SPHERE_HEIGHT_MIN_M);
-            let is_aside = is_read && !self.is_anchored_aright(cell, place);
-            off.with_y(0.0).length() > ANCHOR_DRIFT_MAX_M
+            let rise_max_m = (rise_max * height_m.abs().max(SPHERE_HEIGHT_MIN_M)).max(follow_m);
+            off.with_y(0.0).length() > aside_max_m
                 || (is_read && off.y.abs() > rise_max_m)
-                || is_aside
+                || (is_read && !self.is_anchored_aright(cell, place))
         })
     }
 
@@ -379,14 +459,7 @@ impl SkyRenderer {
             let spheres: Vec<ProxySphere> = self
                 .proxies
                 .iter()
-                .map(|proxy| ProxySphere {
-                    frame: cell.frame,
-                    anchor: anchors[proxy.layer],
-                    altitude_m: proxy.altitude_m,
-                    top_m: proxy.between_m[1],
-                    reference: eye,
-                    seen_between_m: None,
-                })
+                .map(|proxy| self.sphere_of(cell, proxy))
                 .collect();
             // Nothing is kept of a layer in which rays start.
             let sides = self.sides_at(cell.reference_m.y);
@@ -413,7 +486,8 @@ impl SkyRenderer {
             for viewer in self.viewers.values_mut() {
                 let (camera, size) = (viewer.view.camera, viewer.view.size);
                 let mip_bias = viewer.quality.settings.mip_bias;
-                let steps = parallax_steps(&self.scene, &self.active, viewer, cell.reference_m);
+                let domes = self.kept_on.has_domes();
+                let steps = parallax_steps(&self.scene, &self.active, domes, viewer, cell);
                 // Who has jumped is shown what is there until the new cell has more.
                 let has_jumped = viewer.has_jumped_from(id);
                 let Some(requests) = viewer.requests_in(id) else {

@@ -4,6 +4,7 @@ use super::interface::{FinishedFrame, FrameSink, ViewRequest};
 use super::renderer::SkyRenderer;
 use super::transitions::Stage;
 use crate::config::{PlacedCell, RenderConfig};
+use crate::march::ProxySettings;
 use crate::measure::metrics::shown_errors;
 use image::RgbImage;
 use serde_json::Value;
@@ -60,9 +61,20 @@ pub(super) fn view(size: [u32; 2], camera: Camera) -> ViewRequest {
 
 impl Driven {
     pub(super) fn new(steps: u32, document: &Value, placed: &[PlacedCell]) -> Self {
+        Self::on(ProxySettings::default(), steps, document, placed)
+    }
+
+    /// With layers that are kept in a way of their own.
+    pub(super) fn on(
+        proxies: ProxySettings,
+        steps: u32,
+        document: &Value,
+        placed: &[PlacedCell],
+    ) -> Self {
         let noise = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/noise-of-tests");
         let config = RenderConfig {
             march_steps: Some(steps),
+            proxies,
             ..RenderConfig::new(PathBuf::from(noise))
         };
         let gpu = crate::gpu::Gpu::open_blocking().expect("a device");

@@ -21,6 +21,7 @@ mod sky_time;
 mod stats;
 
 mod still;
+mod still_followed;
 mod still_settings;
 mod still_shared;
 mod sun_volumes;

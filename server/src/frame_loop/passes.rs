@@ -59,23 +59,22 @@ impl SkyRenderer {
         for update in &updates {
             by_sphere.entry(update.sphere).or_default().push(*update);
         }
-        let groups: Vec<TexelGroup<'_>> = by_sphere
-            .into_iter()
-            .filter_map(|(sphere, updates)| {
-                let scene_index = self.proxies.get(sphere.proxy as usize)?.scene_index;
-                let cell = self.active_cells.get(&sphere.cell)?;
-                Some(TexelGroup {
-                    cell: &cell.buffers,
-                    features: cell.buffers.march_features(layer_features(
-                        &self.scene,
-                        scene_index,
-                        &cell.settings,
-                    )),
-                    proxy: sphere.proxy,
-                    updates,
+        let groups: Vec<TexelGroup<'_>> =
+            by_sphere
+                .into_iter()
+                .filter_map(|(sphere, updates)| {
+                    let scene_index = self.proxies.get(sphere.proxy as usize)?.scene_index;
+                    let cell = self.active_cells.get(&sphere.cell)?;
+                    Some(TexelGroup {
+                        cell: &cell.buffers,
+                        features: self.kept_on.features(cell.buffers.march_features(
+                            layer_features(&self.scene, scene_index, &cell.settings),
+                        )),
+                        proxy: sphere.proxy,
+                        updates,
+                    })
                 })
-            })
-            .collect();
+                .collect();
         self.timing.begin();
         let mut encoder = self
             .gpu

@@ -2,14 +2,17 @@
 //! new ones, so that the cell goes on showing what it showed and nothing has to be marched for that.
 
 #[cfg(test)]
+mod following_tests;
+#[cfg(test)]
 mod tests;
 
 use super::cells_on_device::ActiveCell;
 use super::renderer::SkyRenderer;
 use crate::cache::{
     ProxySphere, SphereCache, SphereId, TileKey, TileUpdate, octahedral_from_direction,
+    texel_solid_angle_sr,
 };
-use crate::march::{CellFrame, ResampleGroup, ResampledTile, least_from_above_m, record_resample};
+use crate::march::{Proxy, ResampleGroup, ResampledTile, Surface, record_resample};
 use glam::{DVec2, DVec3};
 use skycell_protocol::CellId;
 use skycell_shaders::layout;
@@ -18,10 +21,13 @@ use skycell_shaders::layout;
 /// the angle between both on the planet, 0.01°; a frame that is changed tilts the picture by that.
 const FRAME_MOVES_M: f64 = 1_000.0;
 
-/// Where a layer's texels were and are.
+/// Where a proxy's texels were and are.
 struct Readdressed {
+    kept: Proxy,
     old: ProxySphere,
     new: ProxySphere,
+    /// Most places of a search for what old texels show.
+    parallax_steps: u32,
 }
 
 impl Readdressed {
@@ -33,27 +39,50 @@ impl Readdressed {
             .as_flattened()
             .iter()
             .map(|within| {
-                let point = self.new.point(key.direction(*within));
-                let [x, z] = self.new.frame.origin_m();
-                let altitude_m = self.new.frame.altitude_m(point);
-                let world_m = DVec3::new(x + point.x, altitude_m, z + point.z);
-                let from_old = self.old.frame.from_world(world_m) - self.old.anchor;
+                let from_old =
+                    self.before(self.new.point(key.direction(*within))) - self.old.anchor;
                 octahedral_from_direction(from_old.normalize_or(DVec3::Y))
             })
             .collect()
     }
 
-    fn addresses(&self) -> layout::Resample {
-        let least_m = least_from_above_m(&self.new.frame, self.new.anchor, self.new.altitude_m);
+    /// The place of the old surface, in the old frame, whose texel shows what is at a point of the new one: of a shell the same
+    /// place, of a dome where it is seen from the reference.
+    fn before(&self, point: DVec3) -> DVec3 {
+        match self.new.surface {
+            Surface::Shell { altitude_m } => self.in_old_frame(point, altitude_m),
+            Surface::ShellFromAbove { .. } => {
+                self.in_old_frame(point, self.new.frame.altitude_m(point))
+            }
+            Surface::Dome { .. } => {
+                let [point, eye] = [point, self.new.reference]
+                    .map(|p| self.in_old_frame(p, self.new.frame.altitude_m(p)));
+                let along = (point - eye).normalize_or(DVec3::Y);
+                self.old.point_along(eye, along)
+            }
+        }
+    }
+
+    /// A point at an altitude in the old frame.
+    fn in_old_frame(&self, point: DVec3, altitude_m: f64) -> DVec3 {
+        let [x, z] = self.new.frame.origin_m();
+        let world_m = DVec3::new(x + point.x, altitude_m, z + point.z);
+        self.old.frame.from_world(world_m)
+    }
+
+    /// `finest`: level of the finest new tile.
+    fn addresses(&self, finest: u8) -> layout::Resample {
         let [[from_x, from_z], [to_x, to_z]] = [&self.old, &self.new].map(|s| s.frame.origin_m());
+        let [old_proxy, new_proxy] =
+            [&self.old, &self.new].map(|s| self.kept.uniform(&s.frame, s.anchor));
         layout::Resample {
-            new_anchor: self.new.anchor.as_vec3().to_array(),
+            new_proxy,
+            old_proxy,
+            reference: self.new.reference.as_vec3().to_array(),
             planet_radius_m: self.new.frame.planet_radius_m() as f32,
-            old_anchor: self.old.anchor.as_vec3().to_array(),
-            proxy_altitude_m: self.new.altitude_m as f32,
             moved: [(to_x - from_x) as f32, (to_z - from_z) as f32],
-            from_above: u32::from(least_m.is_some()),
-            least_m: least_m.unwrap_or(0.0) as f32,
+            parallax_steps: self.parallax_steps,
+            texel_angle_rad: texel_solid_angle_sr(finest).sqrt() as f32,
         }
     }
 }
@@ -77,7 +106,12 @@ impl SkyRenderer {
         }
         let exposure_ev = old.auto_exposure_ev();
         cell.take_over(&mut old);
-        let stand_in = self.keep_for_viewers(id);
+        // A dome that follows takes short steps, which nobody sees.
+        let stand_in = if self.kept_on.follows() {
+            None
+        } else {
+            self.keep_for_viewers(id)
+        };
         // What was marched since the last frame is read, too.
         let proxies = 0..self.proxies.len() as u32;
         let tables: Vec<_> = proxies
@@ -144,22 +178,22 @@ impl SkyRenderer {
         let Some(kept) = self.proxies.get(place).copied() else {
             return;
         };
-        let proxy = |frame: CellFrame, anchor: DVec3| ProxySphere {
-            frame,
-            anchor,
-            altitude_m: kept.altitude_m,
-            top_m: kept.between_m[1],
-            reference: frame.from_world(cell.reference_m),
-            seen_between_m: None,
-        };
+        let domes = self.kept_on.has_domes();
+        let steps_of_viewers = self
+            .viewers
+            .values()
+            .filter(|viewer| domes && viewer.cell == id.cell)
+            .map(|viewer| viewer.quality.settings.parallax_steps);
         let way = Readdressed {
-            old: proxy(old.frame, self.anchor_m(old, kept.layer)),
-            new: proxy(cell.frame, self.anchor_m(cell, kept.layer)),
+            kept,
+            old: self.sphere_of(old, &kept),
+            new: self.sphere_of(cell, &kept),
+            parallax_steps: steps_of_viewers.max().unwrap_or(0),
         };
         let reference = cell.reference_m - self.drifts[kept.scene_index].with_y(0.0);
         let filled = self
             .caches
-            .resample(id, sphere, reference, |key| way.places(key));
+            .resample(id, sphere, reference, domes, |key| way.places(key));
         self.atlas.fit(&self.gpu, self.caches.slots_needed());
         let anchor_m = cell.drifting_anchor(kept.layer);
         for (key, slot) in &filled {
@@ -169,6 +203,7 @@ impl SkyRenderer {
                     .set_origin(&self.gpu, *slot, shown_from - anchor_m);
             }
         }
+        let finest = filled.iter().map(|(key, _)| key.level).max().unwrap_or(0);
         let tiles: Vec<ResampledTile> = filled
             .into_iter()
             .map(|(key, slot)| ResampledTile {
@@ -183,7 +218,8 @@ impl SkyRenderer {
             .clone();
         self.submit_resample(&ResampleGroup {
             cached: &cached,
-            addresses: way.addresses(),
+            addresses: way.addresses(finest),
+            domes,
             tiles: &tiles,
         });
         self.counters.tiles_resampled += tiles.len() as u64;
@@ -222,6 +258,7 @@ impl SkyRenderer {
         self.submit_resample(&ResampleGroup {
             cached: &cached,
             addresses: layout::Resample::default(),
+            domes: self.kept_on.has_domes(),
             tiles: &[ResampledTile {
                 key: update.key,
                 slot: update.slot,

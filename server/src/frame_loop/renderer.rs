@@ -28,10 +28,10 @@ use crate::gpu::{
     blend_key,
 };
 use crate::march::{
-    ActiveLayer, Atlas, LayerBlend, MarchSettings, Proxy, SkyLight, TexelMarch, WINDOW_FRAMES_MAX,
-    active_layers, audit_key, drift_m_per_s, layer_features, pixels_key, placed_sheets,
-    placed_weather, possible_frames, proxies_of, resample_key, resolve_key, sky_light,
-    sun_angular_radius_rad, sun_columns_key, texels_key, window_key,
+    ActiveLayer, Atlas, LayerBlend, MarchSettings, Proxy, ProxySettings, SkyLight, TexelMarch,
+    WINDOW_FRAMES_MAX, active_layers, audit_key, drift_m_per_s, layer_features, pixels_key,
+    placed_sheets, placed_weather, possible_frames, proxies_of, resample_key, resolve_key,
+    sky_light, sun_angular_radius_rad, sun_columns_key, texels_key, window_key,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, FrameSize, RendererKind, Scene, ViewerId};
@@ -99,8 +99,8 @@ pub(super) struct SkyRenderer {
     pub(super) active: Vec<ActiveLayer>,
     /// What keeps them in the caches: as many of each layer, one layer after another.
     pub(super) proxies: Vec<Proxy>,
-    /// Slabs that each layer is cut into.
-    pub(super) slabs: u32,
+    /// How.
+    pub(super) kept_on: ProxySettings,
     /// The layers with proxy spheres where they would be if the scene had always been so.
     pub(super) ideal_active: Vec<ActiveLayer>,
     pub(super) light: SkyLight,
@@ -152,7 +152,7 @@ impl SkyRenderer {
             sky_time: SkyTime::standing(scene.clone()),
             active: Vec::new(),
             proxies: Vec::new(),
-            slabs: config.slabs,
+            kept_on: config.proxies,
             ideal_active: Vec::new(),
             drifts: Vec::new(),
             active_cells: BTreeMap::new(),
@@ -281,12 +281,12 @@ impl SkyRenderer {
 
     /// Places what keeps the active layers.
     pub(super) fn place_proxies(&mut self) {
-        self.proxies = proxies_of(&self.scene, &self.active, self.slabs);
+        self.proxies = proxies_of(&self.scene, &self.active, &self.kept_on);
     }
 
     /// How the composite blends the scene's layers.
     pub(super) fn blend(&self) -> LayerBlend {
-        LayerBlend::of(&self.scene, &self.active, self.slabs)
+        LayerBlend::of(&self.scene, &self.active, &self.kept_on)
     }
 
     /// Makes the pipelines of a scene that are not there yet.
@@ -300,7 +300,7 @@ impl SkyRenderer {
     /// The pipelines of a scene.
     pub(super) fn pipeline_keys(&self, scene: &Scene) -> Vec<PipelineKey> {
         let active = active_layers(scene);
-        let blend = LayerBlend::of(scene, &active, self.slabs);
+        let blend = LayerBlend::of(scene, &active, &self.kept_on);
         let most_frames = match self.window_choice {
             WindowChoice::Fixed(plan) => plan.map(|plan| plan.bounded().frames),
             WindowChoice::ByQuality => Some(WINDOW_FRAMES_MAX),
@@ -323,7 +323,9 @@ impl SkyRenderer {
             keys.extend(table_keys());
         }
         if !active.is_empty() {
-            keys.extend([fade_key(), resample_key()]);
+            let domes = self.kept_on.has_domes();
+            keys.extend([fade_key(), resample_key(domes, false)]);
+            keys.extend(domes.then(|| resample_key(domes, true)));
         }
         let has_shafts = scene.light_shafts() && !active.is_empty();
         if has_shafts {
@@ -337,7 +339,8 @@ impl SkyRenderer {
                     ..cone
                 });
                 for features in [Some(cone), volume].into_iter().flatten() {
-                    keys.extend([texels_key(features), audit_key(features)]);
+                    let texels = self.kept_on.features(features);
+                    keys.extend([texels_key(texels), audit_key(texels)]);
                     keys.push(match self.window_choice {
                         WindowChoice::Fixed(None) => pixels_key(features, false),
                         WindowChoice::Fixed(Some(_)) | WindowChoice::ByQuality => {

@@ -246,7 +246,7 @@ impl SkyRenderer {
                     .any(|a| a.scene_index == layer.scene_index)
                     || shell(&self.scene, layer) != shell(&scene, layer)
             });
-        if changes || LayerBlend::of(&scene, &ideal, self.slabs) != self.blend() {
+        if changes || LayerBlend::of(&scene, &ideal, &self.kept_on) != self.blend() {
             // Made when the document was taken over, but for a blend that no end of a transition has.
             self.prepare_pipelines(&scene)?;
         }
@@ -322,11 +322,11 @@ impl SkyRenderer {
     fn keep_layers(&mut self, kept: &[Option<usize>]) {
         let ids: Vec<CellId> = self.active_cells.keys().copied().collect();
         for id in ids {
-            let slabs = self.slabs;
+            let parts = self.kept_on.parts();
             let places: Vec<Option<u32>> = kept
                 .iter()
                 .flat_map(|kept| {
-                    (0..slabs).map(move |slab| kept.map(|place| place as u32 * slabs + slab))
+                    (0..parts).map(move |part| kept.map(|place| place as u32 * parts + part))
                 })
                 .collect();
             self.caches.keep_proxies(id, &places);

@@ -6,14 +6,13 @@ use super::screen_space::{ScreenSpaceJob, WindowChoice};
 use super::still_settings::{LayerFigures, RayFigures, RayPicture};
 use super::still_settings::{StillFigures, StillPicture, StillSettings};
 use crate::atmosphere::ShaftShares;
+use crate::cache::{BYTES_PER_TEXEL, TEXELS_PER_TILE};
 use crate::cells::{CellLimit, Cells};
 use crate::composite::{Picture, composite_key, ground_key, shown_of};
 use crate::config::{PlacedCell, RenderConfig};
 use crate::gpu::{DeviceInventory, Gpu, GpuError, PipelineKey, TimedPass};
 use crate::gpu::{read_buffer_blocking, reads_of};
-use crate::march::{
-    CellFrame, LISTED_VALUES, MarchedPixels, PROXIES_PER_LAYER_MAX, layer_features, pixels_key,
-};
+use crate::march::{CellFrame, LISTED_VALUES, MarchedPixels, layer_features, pixels_key};
 use glam::DVec3;
 use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, ViewerId};
 use skycell_shaders::{Features, Shown, layout};
@@ -26,7 +25,7 @@ pub(super) const BATCH_TILES: usize = 32;
 /// Device time of a strip of the screen-space renderer between two reports, ns.
 const STRIP_NS: u64 = 400_000_000;
 /// The only viewer.
-const VIEWER: ViewerId = ViewerId(1);
+pub(super) const VIEWER: ViewerId = ViewerId(1);
 
 /// Renders single pictures of one scene.
 pub struct StillRenderer {
@@ -86,6 +85,12 @@ impl StillRenderer {
     #[must_use]
     pub fn totals(&self) -> RenderTotals {
         self.renderer.stats(0.0).totals
+    }
+
+    /// GPU memory of the cache's tiles that are there, bytes.
+    #[must_use]
+    pub fn resident_bytes(&self) -> u64 {
+        u64::from(self.renderer.caches.resident()) * TEXELS_PER_TILE * BYTES_PER_TEXEL
     }
 
     /// What stands on the device.
@@ -277,7 +282,12 @@ impl StillRenderer {
     }
 
     /// Makes the only viewer anew; true when it gets rays of its own: a camera in a layer always does.
-    fn join(&mut self, camera: Camera, size: FrameSize, settings: &StillSettings) -> bool {
+    pub(super) fn join(
+        &mut self,
+        camera: Camera,
+        size: FrameSize,
+        settings: &StillSettings,
+    ) -> bool {
         let renderer = &mut self.renderer;
         renderer.leave(VIEWER);
         renderer.cells = if settings.reference_offset_m == [0.0; 3] {
@@ -359,7 +369,7 @@ impl StillRenderer {
         })
     }
 
-    fn prepare_composites(
+    pub(super) fn prepare_composites(
         &mut self,
         screen_space: bool,
         settings: &StillSettings,
@@ -443,7 +453,7 @@ impl StillRenderer {
     }
 
     /// The picture as it is shown, and its linear radiance.
-    fn composites(
+    pub(super) fn composites(
         &mut self,
         size: FrameSize,
         screen_space: bool,
@@ -498,7 +508,7 @@ fn turned(camera: &Camera, by_deg: f64) -> Result<Camera, GpuError> {
 }
 
 /// Where counters stood when a picture was begun.
-struct Start {
+pub(super) struct Start {
     at: Instant,
     totals: RenderTotals,
     gpu_ns: u64,
@@ -507,7 +517,10 @@ struct Start {
 
 impl Start {
     /// Takes the settings over and begins to count.
-    fn of(still: &mut StillRenderer, settings: &StillSettings) -> Result<Self, GpuError> {
+    pub(super) fn of(
+        still: &mut StillRenderer,
+        settings: &StillSettings,
+    ) -> Result<Self, GpuError> {
         let renderer = &mut still.renderer;
         renderer.leave(VIEWER);
         renderer.settings = settings.march;
@@ -517,7 +530,7 @@ impl Start {
         renderer.caches.set_samples(settings.samples);
         renderer.mip_bias = f64::from(settings.mip_bias);
         renderer.parallax_steps = settings.parallax_steps;
-        renderer.slabs = settings.slabs.clamp(1, PROXIES_PER_LAYER_MAX);
+        renderer.kept_on = settings.kept_on().checked()?;
         renderer.place_proxies();
         renderer.window_choice = WindowChoice::Fixed(settings.window);
         // Pipelines for other settings.
@@ -534,7 +547,7 @@ impl Start {
         })
     }
 
-    fn figures(&self, still: &StillRenderer) -> Result<StillFigures, GpuError> {
+    pub(super) fn figures(&self, still: &StillRenderer) -> Result<StillFigures, GpuError> {
         let totals = still.totals();
         let marches = |t: &RenderTotals| t.texels_updated + t.screen_space_marches;
         let gpu_ns = still.gpu_times_ns().iter().sum::<u64>() - self.gpu_ns;

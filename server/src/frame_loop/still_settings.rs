@@ -1,7 +1,7 @@
 //! What a single picture or a list of rays is asked for with, and what comes back.
 
 use crate::config::FrameFilter;
-use crate::march::{MarchSettings, WindowPlan};
+use crate::march::{BandEnds, MarchSettings, ProxySettings, ProxySetup, WindowPlan};
 use crate::quality::default_parallax_steps;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -35,6 +35,14 @@ pub struct StillSettings {
     pub parallax_steps: u32,
     /// Slabs of altitude that each layer is cut into, each kept on a proxy sphere of its own, 1 to 4.
     pub slabs: u32,
+    /// What layers are kept on.
+    pub proxies: ProxySetup,
+    /// Bands of distance, 2 to 4 (nested domes).
+    pub bands: u32,
+    /// Where those end.
+    pub band_ends: BandEnds,
+    /// How far a reference may go before domes follow it, m (following and nested domes).
+    pub dome_follow_m: f64,
     /// Reference point of the cache, seen from the eye: x, altitude, z.
     pub reference_offset_m: [f64; 3],
     /// What the picture shows.
@@ -59,9 +67,27 @@ impl Default for StillSettings {
             filter: FrameFilter::CatmullRom,
             parallax_steps: default_parallax_steps(),
             slabs: 1,
+            proxies: ProxySetup::InLayer,
+            bands: ProxySettings::default().bands,
+            band_ends: BandEnds::Gaps,
+            dome_follow_m: ProxySettings::default().follow_m,
             reference_offset_m: [0.0; 3],
             show: Show::Picture,
             codec: Codec::Png,
+        }
+    }
+}
+
+impl StillSettings {
+    /// What layers are kept on, with all that it is told.
+    #[must_use]
+    pub fn kept_on(&self) -> ProxySettings {
+        ProxySettings {
+            setup: self.proxies,
+            slabs: self.slabs,
+            bands: self.bands,
+            band_ends: self.band_ends,
+            follow_m: self.dome_follow_m,
         }
     }
 }

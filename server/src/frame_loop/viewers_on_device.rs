@@ -228,7 +228,8 @@ impl SkyRenderer {
         let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
         let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
         view.dither_shift = dither_shift(viewer.view.codec);
-        view.parallax_steps = parallax_steps(&self.scene, &self.active, viewer, cell.reference_m);
+        let domes = self.kept_on.has_domes();
+        view.parallax_steps = parallax_steps(&self.scene, &self.active, domes, viewer, cell);
         for (proxy, requests) in requests.iter().enumerate().take(view.tables.len()) {
             let finest = requests.iter().map(|r| r.key.level).max().unwrap_or(0);
             view.tables[proxy] = cell.buffers.table(proxy, finest);

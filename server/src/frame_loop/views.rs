@@ -86,8 +86,8 @@ impl SkyRenderer {
         let Some(cell) = cell.filter(|_| viewer.kind == RendererKind::Cached) else {
             return composite;
         };
-        let steps = parallax_steps(&self.scene, &self.active, viewer, cell.reference_m);
-        let composite = if steps > 0 {
+        let domes = self.kept_on.has_domes();
+        let composite = if parallax_steps(&self.scene, &self.active, domes, viewer, cell) > 0 {
             with_parallax(composite)
         } else {
             composite

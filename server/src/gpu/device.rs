@@ -37,6 +37,9 @@ pub enum GpuError {
          the clouds"
     )]
     NotShown(&'static str),
+    /// Proxies that there are none of.
+    #[error(transparent)]
+    Proxies(#[from] crate::march::SlabsWithDomes),
     /// The device stopped working.
     #[error("the device was lost or ran into an error: {0}")]
     Device(String),

@@ -26,7 +26,10 @@ pub use cell_buffers::CellBuffers;
 pub use frame::CellFrame;
 pub use pattern::{FramePlace, WINDOW_FRAMES_MAX, window_places};
 pub use pixels::{LISTED_VALUES, MarchedPixels, PixelStrip, pixels_key};
-pub use proxies::{PROXIES_MAX, PROXIES_PER_LAYER_MAX, Proxy, least_from_above_m, proxies_of};
+pub use proxies::{
+    BANDS, BandEnds, DOME_FOLLOW_M, Dome, PROXIES_MAX, PROXIES_PER_LAYER_MAX, Proxy, ProxySettings,
+    ProxySetup, SlabsWithDomes, Surface, proxies_of,
+};
 pub use resample::{ResampleGroup, ResampledTile, record_resample, resample_key};
 pub use settings::MarchSettings;
 pub use sides::{Side, layer_bounds_m};

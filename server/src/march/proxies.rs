@@ -1,9 +1,15 @@
-//! What layers are kept on: a layer may be cut into parts, each with a proxy sphere of its own.
+//! What layers are kept on: a layer may be cut into parts, each with a surface of its own. Setups are settings of one
+//! mechanism: where the surface is, what of a ray lies on it, and what happens when the cell's reference goes away.
+
+#[cfg(test)]
+mod tests;
 
 use super::{ActiveLayer, CellFrame};
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 use skycell_protocol::Scene;
-use skycell_shaders::layout;
+use skycell_protocol::number_range::NumberRange;
+use skycell_shaders::{Features, layout};
 
 /// Most parts of a layer.
 pub const PROXIES_PER_LAYER_MAX: u32 = 4;
@@ -11,19 +17,296 @@ pub const PROXIES_PER_LAYER_MAX: u32 = 4;
 const LAYERS_MAX: usize = 4;
 /// Most proxies of a scene, as in `scene/scene.wgsl`.
 pub const PROXIES_MAX: usize = LAYERS_MAX * PROXIES_PER_LAYER_MAX as usize;
+/// Bands of distance that a layer may be cut into.
+pub const BANDS: NumberRange = NumberRange::new(2.0, PROXIES_PER_LAYER_MAX as f64);
+/// How far a reference may go before a dome follows it, m.
+pub const DOME_FOLLOW_M: NumberRange = NumberRange::new(1.0, 4_000.0);
 /// Farther than any ray goes, m.
-const FAR_M: f32 = 1e30;
+const FAR_M: f64 = 1e30;
+/// A layer counts as this far above or below an anchor at least, m.
+const HEIGHT_MIN_M: f64 = 100.0;
 
-/// From above, rays from an anchor that pass over its sphere have their places no nearer than this share of the way to where
-/// a ray touches the sphere.
+/// What layers are kept on.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum,
+)]
+#[serde(rename_all = "kebab-case")]
+pub enum ProxySetup {
+    /// Spheres about the planet, in the layers.
+    #[default]
+    InLayer,
+    /// One dome per layer about where the cell began. Its rays go on starting there.
+    StaticDome,
+    /// One dome per layer that goes along with the cell's reference: what it shows is resampled.
+    FollowingDome,
+    /// Bands of distance, each on a dome of its own, that go along with the reference.
+    NestedDomes,
+}
+
+impl ProxySetup {
+    /// Every setup, with its name.
+    pub const NAMES: [(&str, Self); 4] = [
+        ("in-layer", Self::InLayer),
+        ("static-dome", Self::StaticDome),
+        ("following-dome", Self::FollowingDome),
+        ("nested-domes", Self::NestedDomes),
+    ];
+
+    /// Its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        Self::NAMES
+            .iter()
+            .find(|(_, setup)| *setup == self)
+            .map_or("in-layer", |(name, _)| name)
+    }
+}
+
+/// Where bands of distance end.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum,
+)]
+#[serde(rename_all = "kebab-case")]
+pub enum BandEnds {
+    /// In the next gap between clouds along each ray.
+    #[default]
+    Gaps,
+    /// At their distance, through whatever cloud stands there.
+    Cut,
+}
+
+/// A setup with all that it is told.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ProxySettings {
+    /// Which.
+    pub setup: ProxySetup,
+    /// Slabs of altitude, 1 to 4 (in-layer; else 1).
+    pub slabs: u32,
+    /// Bands of distance, 2 to 4 (nested domes).
+    pub bands: u32,
+    /// Where bands end (nested domes).
+    pub band_ends: BandEnds,
+    /// How far a reference may go before its domes follow, m (following and nested domes).
+    pub follow_m: f64,
+}
+
+impl Default for ProxySettings {
+    fn default() -> Self {
+        Self {
+            setup: ProxySetup::InLayer,
+            slabs: 1,
+            bands: 3,
+            band_ends: BandEnds::Gaps,
+            follow_m: 100.0,
+        }
+    }
+}
+
+/// Slabs of altitude on something that has none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{slabs} slabs with {}: only in-layer proxies are cut into slabs; domes have 1", setup.name())]
+pub struct SlabsWithDomes {
+    /// As many.
+    pub slabs: u32,
+    /// On this.
+    pub setup: ProxySetup,
+}
+
+impl ProxySettings {
+    /// The settings with all numbers within their limits.
+    ///
+    /// # Errors
+    /// Domes have no slabs.
+    pub fn checked(self) -> Result<Self, SlabsWithDomes> {
+        let slabs = self.slabs.clamp(1, PROXIES_PER_LAYER_MAX);
+        if slabs > 1 && self.has_domes() {
+            let setup = self.setup;
+            return Err(SlabsWithDomes { slabs, setup });
+        }
+        Ok(Self {
+            slabs,
+            bands: self.bands.clamp(2, PROXIES_PER_LAYER_MAX),
+            ..self
+        })
+    }
+
+    /// Parts that each layer is kept in.
+    #[must_use]
+    pub fn parts(&self) -> u32 {
+        match self.setup {
+            ProxySetup::InLayer => self.slabs,
+            ProxySetup::StaticDome | ProxySetup::FollowingDome => 1,
+            ProxySetup::NestedDomes => self.bands,
+        }
+    }
+
+    /// Whether texels lie on domes.
+    #[must_use]
+    pub fn has_domes(&self) -> bool {
+        self.setup != ProxySetup::InLayer
+    }
+
+    /// Whether domes go along with their cell's reference.
+    #[must_use]
+    pub fn follows(&self) -> bool {
+        matches!(
+            self.setup,
+            ProxySetup::FollowingDome | ProxySetup::NestedDomes
+        )
+    }
+
+    /// What kernels that march or audit texels are specialised to beside a layer.
+    #[must_use]
+    pub fn features(&self, layer: Features) -> Features {
+        Features {
+            domes: self.has_domes(),
+            bands: self.setup == ProxySetup::NestedDomes && self.band_ends == BandEnds::Gaps,
+            ..layer
+        }
+    }
+}
+
+/// From above, rays from an anchor that pass over its shell have their places no nearer than this share of the way to where a
+/// ray touches the shell.
 const LEAST_SHARE: f64 = 0.25;
+/// A point that is so far over a shell is not on it, m.
+const BEYOND_MIN_M: f64 = 0.1;
 
-/// Least distance of such places, m; none where a sphere is read from below.
-#[must_use]
-pub fn least_from_above_m(frame: &CellFrame, anchor: DVec3, altitude_m: f64) -> Option<f64> {
-    let height_m = frame.altitude_m(anchor) - altitude_m;
-    let from_centre_m = 2.0 * (frame.planet_radius_m() + altitude_m) + height_m;
-    (height_m > 0.0).then(|| LEAST_SHARE * (height_m * from_centre_m).sqrt())
+/// Where texels lie.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Surface {
+    /// On a sphere about the planet.
+    Shell {
+        /// Its altitude, m.
+        altitude_m: f64,
+    },
+    /// On such a sphere as it is seen from an anchor above it, and where rays from the anchor pass over it, where they come
+    /// closest to it (`geometry/surface.wgsl`).
+    ShellFromAbove {
+        /// Its altitude, m.
+        altitude_m: f64,
+        /// Beyond its rim no place is nearer than this, m.
+        least_m: f64,
+    },
+    /// On a sphere about their anchor.
+    Dome {
+        /// Its radius, m.
+        radius_m: f64,
+    },
+}
+
+impl Surface {
+    /// A shell at an altitude about an anchor: seen from above where the anchor is higher.
+    #[must_use]
+    pub fn shell(frame: &CellFrame, anchor: DVec3, altitude_m: f64) -> Self {
+        let height_m = frame.altitude_m(anchor) - altitude_m;
+        if height_m > 0.0 {
+            let from_centre_m = 2.0 * (frame.planet_radius_m() + altitude_m) + height_m;
+            Self::ShellFromAbove {
+                altitude_m,
+                least_m: LEAST_SHARE * (height_m * from_centre_m).sqrt(),
+            }
+        } else {
+            Self::Shell { altitude_m }
+        }
+    }
+
+    /// Its normal at one of its points.
+    #[must_use]
+    pub fn normal(&self, frame: &CellFrame, anchor: DVec3, point: DVec3) -> DVec3 {
+        match *self {
+            Self::ShellFromAbove { altitude_m, .. }
+                if frame.altitude_m(point) > altitude_m + BEYOND_MIN_M =>
+            {
+                let centre = 0.5 * (anchor - DVec3::Y * frame.planet_radius_m());
+                (point - centre).normalize_or(DVec3::Y)
+            }
+            Self::Shell { .. } | Self::ShellFromAbove { .. } => frame.up(point),
+            Self::Dome { .. } => (point - anchor).normalize_or_zero(),
+        }
+    }
+
+    /// How far along a unit direction it is from a point inside it or above it, m.
+    #[must_use]
+    pub fn distance_m(
+        &self,
+        frame: &CellFrame,
+        anchor: DVec3,
+        from: DVec3,
+        direction: DVec3,
+    ) -> f64 {
+        match *self {
+            Self::Shell { altitude_m } => frame.distance_to_shell_m(from, direction, altitude_m),
+            Self::ShellFromAbove {
+                altitude_m,
+                least_m,
+            } => {
+                let near_m = frame.shell_roots_m(from, direction, altitude_m);
+                let seen_m = near_m.map(|[near_m, _]| near_m).filter(|near_m| {
+                    let point = from + direction * near_m;
+                    *near_m > 0.0 && (anchor - point).dot(frame.up(point)) >= 0.0
+                });
+                seen_m.unwrap_or_else(|| {
+                    let from_anchor = from - anchor;
+                    let from_centre = from + DVec3::Y * frame.planet_radius_m();
+                    let b = 0.5 * (direction.dot(from_anchor) + direction.dot(from_centre));
+                    let c = from_anchor.dot(from_centre);
+                    ((b * b - c).max(0.0).sqrt() - b).max(least_m)
+                })
+            }
+            Self::Dome { radius_m } => {
+                let from = from - anchor;
+                let b = direction.dot(from);
+                let c = from.length_squared() - radius_m * radius_m;
+                (b * b - c).max(0.0).sqrt() - b
+            }
+        }
+    }
+}
+
+/// A dome in heights of its layer above the anchor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dome {
+    /// Its radius.
+    pub radius: f64,
+    /// Least and largest distance of what it keeps.
+    pub between: [f64; 2],
+    /// The same of rays that stand in cloud there: where they begin and end at the latest.
+    pub between_gaps: [f64; 2],
+}
+
+impl Dome {
+    /// The dome of band k of n, or of all where n is 1.
+    ///
+    /// A layer at height h is h/µ away in a direction whose sine of elevation is µ, and directions are even in µ. Something at
+    /// distance d is seen from beside the anchor as if it were at r: off in angle by |1/d − 1/r|, whose square is least on the
+    /// mean where 1/r is the mean of 1/d = µ/h. So bands are cut evenly in 1/d, from 1/h to 0, each with the same share of the
+    /// sky, and the dome of each is at the harmonic mean of its ends: of one band at 2 h, where the layer is seen 30° high.
+    #[must_use]
+    pub fn of_band(k: u32, n: u32, ends: BandEnds) -> Self {
+        // The band's end number i, the first of which is at the layer's height.
+        let end = |i: u32| {
+            if i >= n {
+                FAR_M
+            } else {
+                f64::from(n) / f64::from(n - i)
+            }
+        };
+        // A ray in cloud goes on by the length of its band at most.
+        let gap = |i: u32| match ends {
+            BandEnds::Gaps if i > 0 && i < n => 2.0 * end(i) - end(i - 1),
+            _ => end(i),
+        };
+        let share = |i: u32| 1.0 - f64::from(i) / f64::from(n);
+        let near = |value: f64| if k == 0 { 0.0 } else { value };
+        Self {
+            radius: 2.0 / (share(k) + share(k + 1)),
+            // What is nearer than the layer's height is the first band's.
+            between: [near(end(k)), end(k + 1)],
+            between_gaps: [near(gap(k)), gap(k + 1)],
+        }
+    }
 }
 
 /// What keeps a part of a layer in the cache.
@@ -33,93 +316,117 @@ pub struct Proxy {
     pub layer: usize,
     /// Index of the layer in the scene.
     pub scene_index: usize,
-    /// Altitude of the sphere, m.
+    /// Altitude of a shell; of a dome, the mean altitude of its layer's clouds, m.
     pub altitude_m: f64,
     /// Altitudes between which rays are marched, m.
     pub between_m: [f64; 2],
+    /// The dome that it is, where it is none of the shells.
+    pub dome: Option<Dome>,
 }
 
 impl Proxy {
+    /// Height of its clouds above or below an anchor, m.
+    fn height_m(&self, frame: &CellFrame, anchor: DVec3) -> f64 {
+        let height_m = self.altitude_m - frame.altitude_m(anchor);
+        height_m.abs().max(HEIGHT_MIN_M)
+    }
+
+    /// Whether rays go down to it about an anchor.
+    #[must_use]
+    pub fn is_from_above(&self, frame: &CellFrame, anchor: DVec3) -> bool {
+        frame.altitude_m(anchor) > self.altitude_m
+    }
+
+    /// Where its texels lie about an anchor in a cell's frame.
+    #[must_use]
+    pub fn surface(&self, frame: &CellFrame, anchor: DVec3) -> Surface {
+        match self.dome {
+            None => Surface::shell(frame, anchor, self.altitude_m),
+            Some(dome) => Surface::Dome {
+                radius_m: dome.radius * self.height_m(frame, anchor),
+            },
+        }
+    }
+
+    /// Distances from where rays start between which it keeps something, m; None where it keeps all.
+    #[must_use]
+    pub fn band_m(&self, frame: &CellFrame, anchor: DVec3) -> Option<[f64; 2]> {
+        let dome = self
+            .dome
+            .filter(|dome| dome.between[0] > 0.0 || dome.between[1] < FAR_M)?;
+        let height_m = self.height_m(frame, anchor);
+        Some([dome.between[0] * height_m, dome.between_gaps[1] * height_m])
+    }
+
     /// As the shaders read it. `anchor` is the centre of its addresses in the cell's frame.
     #[must_use]
     pub fn uniform(&self, frame: &CellFrame, anchor: DVec3) -> layout::Proxy {
-        let least_m = least_from_above_m(frame, anchor, self.altitude_m);
+        let height_m = self.height_m(frame, anchor);
+        let whole = [0.0, FAR_M];
+        let distances = |of: fn(&Dome) -> [f64; 2]| {
+            self.dome.as_ref().map_or(whole, |dome| {
+                of(dome).map(|heights| (heights * height_m).min(FAR_M))
+            })
+        };
+        let [near_m, far_m] = distances(|dome| dome.between).map(|m| m as f32);
+        let [radius_m, least_m] = match self.surface(frame, anchor) {
+            Surface::Shell { .. } => [0.0, 0.0],
+            Surface::ShellFromAbove { least_m, .. } => [0.0, least_m],
+            Surface::Dome { radius_m } => [radius_m, 0.0],
+        };
+        let [near_gap_m, far_gap_m] = distances(|dome| dome.between_gaps).map(|m| m as f32);
         layout::Proxy {
-            from_above: u32::from(least_m.is_some()),
-            least_m: least_m.unwrap_or(0.0) as f32,
             anchor: anchor.as_vec3().to_array(),
             altitude_m: self.altitude_m as f32,
             part: layout::Part {
                 low_altitude_m: self.between_m[0] as f32,
                 high_altitude_m: self.between_m[1] as f32,
-                near_m: 0.0,
-                far_m: FAR_M,
+                near_m,
+                far_m,
+                near_gap_m,
+                far_gap_m,
+                ..Default::default()
             },
             layer: self.layer as u32,
-            ..Default::default()
+            radius_m: radius_m as f32,
+            from_above: u32::from(self.is_from_above(frame, anchor)),
+            least_m: least_m as f32,
         }
     }
 }
 
-/// The proxies of a scene's active layers: `slabs` of each, from the lowest to the highest, one layer after another. A layer
-/// that is whole is kept on a sphere at the mean altitude of its clouds, a slab on one in its middle.
+/// The proxies of a scene's active layers, one layer after another: slabs from the lowest to the highest, bands from the nearest
+/// to the farthest. A layer that is whole is kept on a sphere at the mean altitude of its clouds, a slab on one in its middle.
 #[must_use]
-pub fn proxies_of(scene: &Scene, active: &[ActiveLayer], slabs: u32) -> Vec<Proxy> {
-    let slabs = slabs.clamp(1, PROXIES_PER_LAYER_MAX);
+pub fn proxies_of(scene: &Scene, active: &[ActiveLayer], settings: &ProxySettings) -> Vec<Proxy> {
+    let parts = settings.parts().clamp(1, PROXIES_PER_LAYER_MAX);
     let of_layer = |(layer, active): (usize, &ActiveLayer)| {
         let shell = &scene.layers()[active.scene_index];
         let (base_m, top_m) = (shell.base_altitude_m(), shell.top_altitude_m());
         let (scene_index, proxy_altitude_m) = (active.scene_index, active.proxy_altitude_m);
-        (0..slabs).map(move |slab| {
-            let cut = |place: u32| base_m + (top_m - base_m) * f64::from(place) / f64::from(slabs);
-            let between_m = [cut(slab), cut(slab + 1)];
+        (0..parts).map(move |part| {
+            let dome = settings
+                .has_domes()
+                .then(|| Dome::of_band(part, parts, settings.band_ends));
+            let is_whole = parts == 1 || dome.is_some();
+            let cut = |place: u32| base_m + (top_m - base_m) * f64::from(place) / f64::from(parts);
+            let between_m = if is_whole {
+                [base_m, top_m]
+            } else {
+                [cut(part), cut(part + 1)]
+            };
             Proxy {
                 layer,
                 scene_index,
-                altitude_m: if slabs == 1 {
+                altitude_m: if is_whole {
                     proxy_altitude_m
                 } else {
                     0.5 * (between_m[0] + between_m[1])
                 },
                 between_m,
+                dome,
             }
         })
     };
     active.iter().enumerate().flat_map(of_layer).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::active_layers;
-    use super::*;
-    use serde_json::json;
-
-    #[test]
-    fn slabs_of_a_layer_meet_and_fill_it() {
-        let document = json!({"version": 1, "layers": [
-            {"name": "low", "base_altitude_m": 1500, "top_altitude_m": 4000},
-            {"name": "high", "base_altitude_m": 5000, "top_altitude_m": 6000}]});
-        let scene = Scene::from_json(&document).expect("valid");
-        let active = active_layers(&scene);
-        for slabs in 1..=4usize {
-            let proxies = proxies_of(&scene, &active, slabs as u32);
-            assert_eq!(proxies.len(), 2 * slabs);
-            for (layer, (base_m, top_m)) in [(1_500.0, 4_000.0), (5_000.0, 6_000.0)]
-                .into_iter()
-                .enumerate()
-            {
-                let parts = &proxies[layer * slabs..(layer + 1) * slabs];
-                assert!(parts.iter().all(|part| part.layer == layer));
-                assert_eq!(parts[0].between_m[0], base_m);
-                assert_eq!(parts[slabs - 1].between_m[1], top_m);
-                for pair in parts.windows(2) {
-                    assert_eq!(pair[0].between_m[1], pair[1].between_m[0]);
-                }
-                for part in parts {
-                    assert!(part.between_m[0] < part.altitude_m);
-                    assert!(part.altitude_m < part.between_m[1]);
-                }
-            }
-        }
-    }
 }

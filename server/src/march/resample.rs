@@ -7,13 +7,17 @@ use skycell_shaders::layout::{self, ResampleWork};
 use skycell_shaders::{Features, Kernel};
 use wgpu::util::DeviceExt;
 
-/// The pass that fills tiles from others. It reads sharply: what is blurred here stays so until it is marched.
+/// The pass that fills tiles from others, on domes with a search for what they show or without. It reads sharply: what is
+/// blurred here stays so until it is marched.
 #[must_use]
-pub fn resample_key() -> PipelineKey {
+pub fn resample_key(domes: bool, parallax: bool) -> PipelineKey {
     PipelineKey {
         kernel: Kernel::ResampleTiles,
         features: Features {
             catmull_rom: true,
+            domes,
+            above: true,
+            parallax: domes && parallax,
             ..Features::default()
         },
     }
@@ -37,6 +41,8 @@ pub struct ResampleGroup<'a> {
     pub cached: &'a wgpu::BindGroup,
     /// Old and new addresses.
     pub addresses: layout::Resample,
+    /// Whether they are domes.
+    pub domes: bool,
     /// The tiles. Their slots are none that the old tables name.
     pub tiles: &'a [ResampledTile],
 }
@@ -51,7 +57,8 @@ pub fn record_resample(
     atlas: &Atlas,
     group: &ResampleGroup<'_>,
 ) -> u64 {
-    let Some(pipeline) = pipelines.get(resample_key()) else {
+    let key = resample_key(group.domes, group.addresses.parallax_steps > 0);
+    let Some(pipeline) = pipelines.get(key) else {
         return 0;
     };
     let buffer = |label, contents: &[u8], usage| {

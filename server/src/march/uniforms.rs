@@ -1,7 +1,7 @@
 //! The scene as the shaders read it, in the frame of one cell.
 
 use super::night::night_uniform;
-use super::{CellFrame, MarchSettings, SkyLight};
+use super::{CellFrame, MarchSettings, ProxySettings, SkyLight};
 use crate::atmosphere::BaseTables;
 use crate::field::{SKIP_RANGE_SHARE, mean_height_fraction};
 use crate::gpu::{PlacedSheet, PlacedWeather};
@@ -162,12 +162,14 @@ pub struct LayerBlend {
     pub overlap: bool,
     /// Parts that each is kept in.
     pub proxies: u32,
+    /// Whether those are kept on domes.
+    pub domes: bool,
 }
 
 impl LayerBlend {
-    /// What the active layers of a scene need, each kept in so many parts.
+    /// What the active layers of a scene need that are kept in such a way.
     #[must_use]
-    pub fn of(scene: &Scene, active: &[ActiveLayer], proxies: u32) -> Self {
+    pub fn of(scene: &Scene, active: &[ActiveLayer], proxies: &ProxySettings) -> Self {
         let phase = |layer: &ActiveLayer| scene.layer_phase(layer.scene_index);
         let span_m = |layer: &ActiveLayer| {
             let layer = &scene.layers()[layer.scene_index];
@@ -184,7 +186,8 @@ impl LayerBlend {
             layers: active.len(),
             own_phases: active.iter().any(|layer| phase(layer) != phase(&active[0])),
             overlap,
-            proxies,
+            proxies: proxies.parts(),
+            domes: proxies.has_domes(),
         }
     }
 }

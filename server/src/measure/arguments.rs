@@ -4,6 +4,7 @@ use super::distance::DistanceArguments;
 use super::metrics::COMPARED_SIDE_MIN;
 use super::octaves::OctavesArguments;
 use super::plan::{Axis, Extent};
+use super::proxies::ProxiesArguments;
 use super::reference::{ReferenceSource, TruthInputs};
 use super::scaling::ScalingArguments;
 use crate::render_command::{Folders, read_scene, triple};
@@ -53,6 +54,10 @@ pub enum Measurement {
                       skycell-server measure scaling --only crowds --crowd-viewers 1000 --motions fly"
     )]
     Scaling(Box<ScalingArguments>),
+    /// The same figures for each setup of proxies: how far what a viewer beside the reference sees is from rays of its own, what
+    /// is marched and kept for it.
+    #[command(after_help = "Example: skycell-server measure proxies --size 160x90 --out proxies")]
+    Proxies(Box<ProxiesArguments>),
     /// How far the light that clouds scatter more than once is from the path tracer's, over shapes from thin to thick.
     #[command(after_help = "Example: skycell-server measure octaves --fit")]
     Octaves(OctavesArguments),

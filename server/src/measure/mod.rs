@@ -11,6 +11,7 @@ pub mod metrics;
 pub mod octaves;
 pub mod plan;
 pub mod progress;
+mod proxies;
 pub mod quality;
 pub mod reference;
 pub mod report;
@@ -34,6 +35,7 @@ pub fn run(arguments: &MeasureArguments) -> anyhow::Result<()> {
         Measurement::Gallery(gallery) => gallery::run(gallery),
         Measurement::Distance(arguments) => distance::run(arguments),
         Measurement::Scaling(arguments) => scaling::run(arguments),
+        Measurement::Proxies(arguments) => proxies::run(arguments),
         Measurement::Octaves(arguments) => octaves::run(arguments),
     }
 }

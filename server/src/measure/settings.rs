@@ -143,8 +143,8 @@ impl PointSettings {
             filter: self.filter,
             reference_offset_m: offset_m.to_array(),
             parallax_steps: crate::quality::default_parallax_steps(),
-            slabs: 1,
             shared_background: false,
+            ..StillSettings::default()
         }
     }
 

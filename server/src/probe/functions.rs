@@ -21,8 +21,10 @@ pub enum FunctionQuestion {
     OneMinusExpOver = 5,
     /// The transfer function of sRGB.
     Srgb = 6,
+    /// A ray and a dome.
+    DomeDistance = 7,
     /// A ray from above and the surface of a proxy.
-    ProxyFromAbove = 7,
+    ProxyFromAbove = 8,
 }
 
 /// Two vectors.

@@ -1,6 +1,6 @@
 //! What `skycell-server render` can be told.
 
-use crate::march::MarchSettings;
+use crate::march::{BandEnds, MarchSettings, ProxySetup};
 use crate::sun_volume::SunVolumeSize;
 use skycell_protocol::{Show, SunDepth};
 use skycell_reference::Approximations;
@@ -103,6 +103,21 @@ pub struct RenderArguments {
     /// Halvings of the cache's resolution below the screen's.
     #[arg(long, default_value_t = 0.0)]
     pub mip_bias: f32,
+    /// What layers are kept on by the cached renderer.
+    #[arg(long, value_enum, default_value_t = ProxySetup::InLayer)]
+    pub proxies: ProxySetup,
+    /// Slabs of altitude of each layer, 1 to 4 (in-layer proxies).
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=4))]
+    pub slabs: u32,
+    /// Bands of distance of each layer, 2 to 4 (nested domes).
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(2..=4))]
+    pub bands: u32,
+    /// Where bands end (nested domes).
+    #[arg(long, value_enum, default_value_t = BandEnds::Gaps)]
+    pub band_ends: BandEnds,
+    /// Most places at which a viewer away from the reference looks for what texels show, 0 to 64; 0: proxies alone.
+    #[arg(long, default_value_t = crate::quality::default_parallax_steps(), value_parser = clap::value_parser!(u32).range(0..=64))]
+    pub parallax_steps: u32,
     /// The screen-space renderer marches this many times fewer columns and rows: 1, 2 or 4.
     #[arg(long, default_value_t = 1)]
     pub resolution_divisor: u32,

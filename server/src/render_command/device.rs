@@ -91,6 +91,11 @@ fn settings(
             .unwrap_or(samples as u32),
         turn_deg_per_frame: arguments.turn_deg_per_frame,
         mip_bias: arguments.mip_bias,
+        parallax_steps: arguments.parallax_steps,
+        proxies: arguments.proxies,
+        slabs: arguments.slabs,
+        bands: arguments.bands,
+        band_ends: arguments.band_ends,
         show: arguments.show,
         ..StillSettings::default()
     })

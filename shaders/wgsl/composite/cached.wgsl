@@ -1,11 +1,12 @@
 #define_import_path skycell::cached
 #import skycell::octahedral::octahedral_from_direction
 #import skycell::shell::{altitude_m, shell_roots}
+#import skycell::surface::{surface_point, surface_distance_m}
+#ifdef DOMES
+#import skycell::surface::dome_distance_m
+#endif
 #import skycell::scene::Proxy
 #import skycell::march::{LayerRadiance, CLEAR_OPACITY, distance_seen_m}
-#ifdef ABOVE
-#import skycell::proxy::{proxy_distance_m, distance_to_proxy_m}
-#endif
 #import skycell::view::{View, PageTable}
 
 /// Page tables as rows of TABLE_WIDTH entries. A texture and no buffer: software drivers read buffers lane by lane.
@@ -106,16 +107,6 @@ fn point_at_altitude(planet_radius_m: f32, eye: View, direction: vec3f, altitude
     return eye.position + direction * max(shell.far_m, 1e-3);
 }
 
-/// The point of a viewer's ray on a proxy's surface.
-fn point_on_proxy(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f) -> vec3f {
-#ifdef ABOVE
-    let sphere = shell_roots(planet_radius_m, proxy.altitude_m, eye.position, eye.altitude_m, direction);
-    return eye.position + direction * proxy_distance_m(planet_radius_m, proxy, eye.position, sphere, direction);
-#else
-    return point_at_altitude(planet_radius_m, eye, direction, proxy.altitude_m);
-#endif
-}
-
 #ifdef ABOVE
 /// Whether a viewer's ray from above passes over a proxy's part: tiles end a little above its edge, and coarse ones reach far
 /// beyond.
@@ -134,53 +125,12 @@ struct Parallax {
     origin: vec3f,
 }
 
-/// The place of the sphere, from the anchor, whose texel shows a point: where the ray from that texel's origin through the
-/// point meets the sphere.
+/// The place of the surface, from the anchor, whose texel shows a point: where the ray from that texel's origin through the
+/// point meets it.
 fn place_of_point(planet_radius_m: f32, proxy: Proxy, parallax: Parallax, point: vec3f) -> vec3f {
     let origin = proxy.anchor + parallax.origin;
     let direction = normalize(point - origin);
-#ifdef ABOVE
-    return parallax.origin + direction * distance_to_proxy_m(planet_radius_m, proxy, origin, direction);
-#else
-    let sphere = shell_roots(planet_radius_m, proxy.altitude_m, origin, altitude_m(planet_radius_m, origin), direction);
-    return parallax.origin + direction * max(sphere.far_m, 1e-3);
-#endif
-}
-
-/// Ends of a viewer's way through a proxy's part, the nearer first. Places on it are altitudes; from above distances, since a
-/// ray may leave the part at the altitude at which it has entered it.
-struct Way {
-    near: f32,
-    far: f32,
-}
-
-fn way_through(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f) -> Way {
-#ifdef ABOVE
-    let top = shell_roots(planet_radius_m, proxy.part.high_altitude_m, eye.position, eye.altitude_m, direction);
-    let base = shell_roots(planet_radius_m, proxy.part.low_altitude_m, eye.position, eye.altitude_m, direction);
-    let near_m = max(top.near_m, 1e-3);
-    let far_m = max(select(top.far_m, base.near_m, base.hit), near_m);
-    let is_above = proxy.from_above > 0u;
-    return Way(select(proxy.part.low_altitude_m, near_m, is_above), select(proxy.part.high_altitude_m, far_m, is_above));
-#else
-    return Way(proxy.part.low_altitude_m, proxy.part.high_altitude_m);
-#endif
-}
-
-/// A place of a viewer's way.
-fn point_at_place(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f, place: f32) -> vec3f {
-#ifdef ABOVE
-    if proxy.from_above > 0u { return eye.position + direction * place; }
-#endif
-    return point_at_altitude(planet_radius_m, eye, direction, place);
-}
-
-/// The place of a point beside a viewer's ray.
-fn place_beside(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f, point: vec3f) -> f32 {
-#ifdef ABOVE
-    if proxy.from_above > 0u { return dot(point - eye.position, direction); }
-#endif
-    return altitude_m(planet_radius_m, point);
+    return parallax.origin + direction * surface_distance_m(planet_radius_m, proxy, origin, altitude_m(planet_radius_m, origin), direction);
 }
 
 /// What a texel tells of what it shows.
@@ -232,23 +182,97 @@ const CLOUD_DEPTH_M: f32 = 50.0;
 /// How fast a ray may get behind one surface, per m of its way.
 const CLOUD_SLOPE: f32 = 3.0;
 
+/// Altitudes between which a viewer's ray is searched for what a proxy keeps: those of its part, as far as its distances from
+/// where its rays start go.
+fn searched_altitudes(planet_radius_m: f32, eye: View, proxy: Proxy, starts: vec3f, direction: vec3f) -> vec2f {
+    let part = vec2f(proxy.part.low_altitude_m, proxy.part.high_altitude_m);
+#ifdef DOMES
+    let along = searched_distances_m(eye, proxy, starts, direction);
+    let ends = vec2f(altitude_m(planet_radius_m, eye.position + direction * along.x), altitude_m(planet_radius_m, eye.position + direction * along.y));
+    return clamp(vec2f(min(ends.x, ends.y), max(ends.x, ends.y)), part.xx, part.yy);
+#else
+    return part;
+#endif
+}
+
+#ifdef DOMES
+/// Farther than any cloud is seen, m.
+const FARTHEST_M: f32 = 2e6;
+
+/// Distances along a viewer's ray between which it is as far from where a proxy's rays start as the proxy keeps something.
+fn searched_distances_m(eye: View, proxy: Proxy, starts: vec3f, direction: vec3f) -> vec2f {
+    let from_start = eye.position - starts;
+    // No ray in a layer is longer than this, and no square of it is beyond a float.
+    let distances_m = min(vec2f(proxy.part.near_m, proxy.part.far_gap_m), vec2f(FARTHEST_M));
+    let near_m = max(dome_distance_m(distances_m.x, from_start, direction), 0.0);
+    let far_m = max(dome_distance_m(distances_m.y, from_start, direction), 0.0);
+    return vec2f(near_m, far_m);
+}
+#endif
+
+/// Ends of a viewer's way through a proxy's part, the nearer first. Places on it are altitudes; from above distances, since a
+/// ray may leave the part at the altitude at which it has entered it.
+struct Way {
+    near: f32,
+    far: f32,
+}
+
+fn way_through(planet_radius_m: f32, eye: View, proxy: Proxy, starts: vec3f, direction: vec3f) -> Way {
+    let between = searched_altitudes(planet_radius_m, eye, proxy, starts, direction);
+#ifdef ABOVE
+    let top = shell_roots(planet_radius_m, proxy.part.high_altitude_m, eye.position, eye.altitude_m, direction);
+    let base = shell_roots(planet_radius_m, proxy.part.low_altitude_m, eye.position, eye.altitude_m, direction);
+    var near_m = max(top.near_m, 1e-3);
+    var far_m = max(select(top.far_m, base.near_m, base.hit), near_m);
+#ifdef DOMES
+    let along = searched_distances_m(eye, proxy, starts, direction);
+    near_m = clamp(along.x, near_m, far_m);
+    far_m = clamp(along.y, near_m, far_m);
+#endif
+    let is_above = proxy.from_above > 0u;
+    return Way(select(between.x, near_m, is_above), select(between.y, far_m, is_above));
+#else
+    return Way(between.x, between.y);
+#endif
+}
+
+/// A place of a viewer's way.
+fn point_at_place(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f, place: f32) -> vec3f {
+#ifdef ABOVE
+    if proxy.from_above > 0u { return eye.position + direction * place; }
+#endif
+    return point_at_altitude(planet_radius_m, eye, direction, place);
+}
+
+/// The place of a point beside a viewer's ray.
+fn place_beside(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f, point: vec3f) -> f32 {
+#ifdef ABOVE
+    if proxy.from_above > 0u { return dot(point - eye.position, direction); }
+#endif
+    return altitude_m(planet_radius_m, point);
+}
+
 /// Finds the place of what a viewer sees: goes along its ray, from the near side of what the proxy keeps to its far one, until it is
 /// behind what the texels there show. Where that moves what is read by little, the texel on the sphere tells it.
 fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTable, direction: vec3f) -> Parallax {
-    let way = way_through(planet_radius_m, eye, proxy, direction);
-    let on_sphere = point_on_proxy(planet_radius_m, eye, proxy, direction);
+    let on_surface = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);
 #ifdef ABOVE
-    let on_sphere_place = place_beside(planet_radius_m, eye, proxy, direction, on_sphere);
+    let on_surface_place = place_beside(planet_radius_m, eye, proxy, direction, on_surface);
 #else
-    let on_sphere_place = proxy.altitude_m;
+    let on_surface_place = proxy.altitude_m;
 #endif
-    var result = Parallax(on_sphere_place, vec3f(0.0));
-    let first = shown_at(table, on_sphere - proxy.anchor);
+    var result = Parallax(on_surface_place, vec3f(0.0));
+    let first = shown_at(table, on_surface - proxy.anchor);
     result.origin = select(vec3f(0.0), first.origin, first.held);
     let starts = proxy.anchor + result.origin;
-    let seen = starts + normalize(on_sphere - starts) * first.distance_m;
+    let way = way_through(planet_radius_m, eye, proxy, starts, direction);
+    let seen = starts + normalize(on_surface - starts) * first.distance_m;
+#ifdef ABOVE
     let seen_place = clamp(place_beside(planet_radius_m, eye, proxy, direction, seen), way.near, way.far);
-    result.place = select(on_sphere_place, seen_place, first.held);
+#else
+    let seen_place = clamp(altitude_m(planet_radius_m, seen), proxy.part.low_altitude_m, proxy.part.high_altitude_m);
+#endif
+    result.place = select(on_surface_place, seen_place, first.held);
 
     let from_near = normalize(point_at_place(planet_radius_m, eye, proxy, direction, way.near) - starts);
     let from_far = normalize(point_at_place(planet_radius_m, eye, proxy, direction, way.far) - starts);
@@ -322,7 +346,7 @@ fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hi
     cloud.opacity_distance_m *= length(point - eye.position) / max(length(point - proxy.anchor - parallax.origin), 1.0);
     return cloud;
 #else
-    let point = point_on_proxy(planet_radius_m, eye, proxy, direction);
+    let point = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);
     return cached_radiance(table, point - proxy.anchor, is_clear);
 #endif
 }
@@ -344,6 +368,7 @@ fn in_front_of(front: LayerRadiance, back: LayerRadiance) -> LayerRadiance {
     );
 }
 
+#ifndef DOMES
 /// Two parts as an eye sees them: from above the upper one, the second, hides the lower one.
 fn both_parts(first: LayerRadiance, second: LayerRadiance, from_above: bool) -> LayerRadiance {
     let below = in_front_of(first, second);
@@ -357,10 +382,23 @@ fn both_parts(first: LayerRadiance, second: LayerRadiance, from_above: bool) -> 
     );
 }
 #endif
+#endif
 
-/// What the cache holds of a layer along a viewer's ray: its parts, from the lowest to the highest, one behind the other.
+/// What the cache holds of a layer along a viewer's ray: its parts, slabs from the lowest to the highest, one behind the other.
 fn cached_layer(planet_radius_m: f32, eye: View, kept: array<Kept, #{PROXIES}>, direction: vec3f, hidden: bool) -> LayerRadiance {
     var cloud = cached_part(planet_radius_m, eye, kept[0], direction, hidden);
+#ifdef DOMES
+    // Bands of distance, from the nearest to the farthest.
+#if PROXIES >= 2
+    cloud = in_front_of(cloud, cached_part(planet_radius_m, eye, kept[1], direction, hidden));
+#endif
+#if PROXIES >= 3
+    cloud = in_front_of(cloud, cached_part(planet_radius_m, eye, kept[2], direction, hidden));
+#endif
+#if PROXIES >= 4
+    cloud = in_front_of(cloud, cached_part(planet_radius_m, eye, kept[3], direction, hidden));
+#endif
+#else
 #if PROXIES >= 2
     let from_above = eye.altitude_m > kept[0].proxy.part.high_altitude_m;
     cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[1], direction, hidden), from_above);
@@ -370,6 +408,7 @@ fn cached_layer(planet_radius_m: f32, eye: View, kept: array<Kept, #{PROXIES}>, 
 #endif
 #if PROXIES >= 4
     cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[3], direction, hidden), from_above);
+#endif
 #endif
     return cloud;
 }

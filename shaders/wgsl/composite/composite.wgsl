@@ -1,7 +1,6 @@
 // One picture for one viewer: the layers of its cell, back to front, over sky and ground.
 #import skycell::march::{scene, LayerRadiance, distance_seen_m}
 #import skycell::scene::{Scene, Layer}
-#import skycell::shell::shell_roots
 #import skycell::shade::{Background, Ray, background, hidden_by_ground, pixel_ray}
 // What a viewer looks at instead of the picture takes the place of these functions.
 #ifdef SHOW_VALUES
@@ -31,10 +30,8 @@
 #ifndef SCREEN_SPACE
 #import skycell::cached::Kept
 #ifdef SHOW_CACHE
-#ifdef ABOVE
-#import skycell::proxy::proxy_distance_m
-#endif
 #import skycell::show::cached_entry
+#import skycell::surface::surface_point
 #else
 #import skycell::cached::cached_layer
 #endif
@@ -82,13 +79,8 @@ fn layer_radiance(world: Scene, eye: View, layer: Layer, kept: array<Kept, #{PRO
 #ifdef SHOW_CACHE
     // Of the nearest part.
     let proxy = kept[0].proxy;
-    let sphere = shell_roots(world.planet.radius_m, proxy.altitude_m, eye.position, eye.altitude_m, ray.direction);
-#ifdef ABOVE
-    let on_sphere = eye.position + ray.direction * proxy_distance_m(world.planet.radius_m, proxy, eye.position, sphere, ray.direction);
-#else
-    let on_sphere = eye.position + ray.direction * max(sphere.far_m, 1e-3);
-#endif
-    return cached_entry(kept[0].table, on_sphere - proxy.anchor, hidden);
+    let on_surface = surface_point(world.planet.radius_m, proxy, eye.position, eye.altitude_m, ray.direction);
+    return cached_entry(kept[0].table, on_surface - proxy.anchor, hidden);
 #else
     return cached_layer(world.planet.radius_m, eye, kept, ray.direction, hidden);
 #endif

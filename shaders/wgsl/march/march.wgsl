@@ -329,18 +329,52 @@ fn surroundings(ray: RayScene, layer: Layer, position: vec3f, up: vec3f, samples
 
 /// All of a layer.
 fn whole(layer: Layer) -> Part {
-    return Part(layer.base_altitude_m, layer.top_altitude_m, 0.0, 1e30);
+    return Part(layer.base_altitude_m, layer.top_altitude_m, 0.0, 1e30, 0.0, 1e30, 0.0, 0.0);
 }
+
+#ifdef BANDS
+// A band of distance ends in a gap between clouds. Of two bands that meet, both look at the first sample at or beyond the
+// distance at which they do: where that is clear, there the near one ends and the far one begins. Where it is in cloud, the near
+// one goes on, and the far one takes no light, until a sample is clear, or at a distance of which both know. Of each ray so each
+// sample is in one band.
+
+/// Where an interval of a layer begins in a band, and where it ends at the latest; empty where it begins behind the band's end:
+/// outside a layer is a gap. A sheet is in one band as a whole.
+fn within_band(part: Part, start_m: f32, end_m: f32) -> vec2f {
+#ifdef DENSITY_CIRRUS
+    return vec2f(start_m, select(start_m, end_m, start_m >= part.near_m && start_m < part.far_m));
+#else
+    let latest_m = min(end_m, part.far_gap_m);
+    return vec2f(max(start_m, part.near_m), select(latest_m, start_m, start_m >= part.far_m));
+#endif
+}
+
+/// How far a band's ray goes on without light while it is in the cloud in which it begins, m; 0 where it begins at its layer.
+fn head_end_m(part: Part, start_m: f32) -> f32 {
+    return select(0.0, part.near_gap_m, start_m <= part.near_m);
+}
+
+/// Where a band's ray ends: here, when it is clear behind the band's end.
+fn band_end_m(part: Part, end_m: f32, distance_m: f32, is_clear: bool) -> f32 {
+    return select(end_m, min(end_m, distance_m), is_clear && distance_m >= part.far_m);
+}
+#endif
 
 /// Where a ray is in a part of a layer: both intervals between its altitudes, cut to its distances.
 fn part_intervals(planet_radius_m: f32, has_ground: bool, part: Part, origin: vec3f, direction: vec3f) -> LayerIntervals {
     let between = layer_intervals(planet_radius_m, has_ground, part.low_altitude_m, part.high_altitude_m, origin, direction);
+#ifdef BANDS
+    let first = within_band(part, between.first_start_m, between.first_end_m);
+    let second = within_band(part, between.second_start_m, between.second_end_m);
+    return LayerIntervals(first.x, first.y, second.x, second.y);
+#else
     return LayerIntervals(
         max(between.first_start_m, part.near_m),
         min(between.first_end_m, part.far_m),
         max(between.second_start_m, part.near_m),
         min(between.second_end_m, part.far_m),
     );
+#endif
 }
 
 #ifdef DENSITY_CIRRUS
@@ -444,6 +478,10 @@ fn march_layer(layer_index: u32, part: Part, origin: vec3f, direction: vec3f, st
 #ifdef WINDOW
     var begin = steps_at(layer, start_m);
 #endif
+#ifdef BANDS
+    var unlit_to_m = head_end_m(part, start_m);
+    let tail_steps = first_sample_at(layer, part.far_m, start_fraction);
+#endif
 
     var transmittance = 1.0;
     var front = Weighed(0.0, 0.0, 0.0);
@@ -477,6 +515,9 @@ fn march_layer(layer_index: u32, part: Part, origin: vec3f, direction: vec3f, st
                     distance_m = distance_at_m(layer, steps);
                     end_m = second_end_m;
                     second = false;
+#ifdef BANDS
+                    unlit_to_m = head_end_m(part, second_start_m);
+#endif
                 }
                 if distance_m >= end_m || probes >= PROBES_MAX { break; }
                 position = origin + direction * distance_m;
@@ -484,6 +525,10 @@ fn march_layer(layer_index: u32, part: Part, origin: vec3f, direction: vec3f, st
                 height_fraction = saturate((altitude - layer.base_altitude_m) / thickness_m);
                 let map = map_texel(layer, position.xz);
                 profile = dimensional_profile(layer, map, height_fraction);
+#ifdef BANDS
+                end_m = band_end_m(part, end_m, distance_m, profile <= 0.0);
+                unlit_to_m = select(unlit_to_m, 0.0, profile <= 0.0);
+#endif
                 if profile > 0.0 || lights_empty { break; }
                 probes += 1u;
                 let skip_m = map.z * layer.skip_range_m / across;
@@ -496,7 +541,13 @@ fn march_layer(layer_index: u32, part: Part, origin: vec3f, direction: vec3f, st
                 share = stepped.y;
                 empty_parts = stepped.z;
 #else
+#ifdef BANDS
+                let next = steps + max(ceil(steps_at(layer, distance_m + skip_m) - steps), 1.0);
+                // Never past the sample at which both bands look.
+                steps = select(next, min(next, tail_steps), steps + 0.5 < tail_steps);
+#else
                 steps += max(ceil(steps_at(layer, distance_m + skip_m) - steps), 1.0);
+#endif
 #endif
                 distance_m = distance_at_m(layer, steps);
             }
@@ -511,6 +562,11 @@ fn march_layer(layer_index: u32, part: Part, origin: vec3f, direction: vec3f, st
             share = stepped.y;
             empty_parts = stepped.z;
 #else
+#ifdef BANDS
+            end_m = band_end_m(part, end_m, distance_m, density <= 0.0);
+            unlit_to_m = select(unlit_to_m, 0.0, density <= 0.0);
+            density = select(density, 0.0, distance_m < unlit_to_m);
+#endif
             if density > 0.0 || lights_empty { break; }
             probes += 1u;
             steps += 1.0;
@@ -525,6 +581,9 @@ fn march_layer(layer_index: u32, part: Part, origin: vec3f, direction: vec3f, st
                 distance_m = distance_at_m(layer, steps);
                 end_m = second_end_m;
                 second = false;
+#ifdef BANDS
+                unlit_to_m = head_end_m(part, second_start_m);
+#endif
             }
             if distance_m >= end_m || probes >= PROBES_MAX { break; }
             position = origin + direction * distance_m;
@@ -539,6 +598,11 @@ fn march_layer(layer_index: u32, part: Part, origin: vec3f, direction: vec3f, st
             share = stepped.y;
             empty_parts = stepped.z;
 #else
+#ifdef BANDS
+            end_m = band_end_m(part, end_m, distance_m, density <= 0.0);
+            unlit_to_m = select(unlit_to_m, 0.0, density <= 0.0);
+            density = select(density, 0.0, distance_m < unlit_to_m);
+#endif
             if density > 0.0 || lights_empty { break; }
             probes += 1u;
             steps += 1.0;

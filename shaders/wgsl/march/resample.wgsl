@@ -1,12 +1,19 @@
 // Tiles about a new anchor filled from those about the old one: what the cache holds at a point of the proxy sphere stays there.
 #import skycell::shell::altitude_m
-#import skycell::proxy::distance_to_proxy_m
 #import skycell::scene::Proxy
-#import skycell::octahedral::direction_from_octahedral
+#import skycell::march::LayerRadiance
 #import skycell::texel_ray::{TILE_STRIDE, texel_in_level}
 #import skycell::accumulate::accumulated
+#ifdef DOMES
+#import skycell::texel_ray::texel_direction
+#import skycell::cached::{Kept, cached_part}
+#import skycell::view::{PageTable, View}
+#else
+#import skycell::octahedral::direction_from_octahedral
+#import skycell::surface::surface_point
 #import skycell::cached::cached_radiance
 #import skycell::view::PageTable
+#endif
 
 /// One tile about the new anchor.
 struct ResampleWork {
@@ -19,19 +26,21 @@ struct ResampleWork {
     table: PageTable,
 }
 
-/// A layer's old and new addresses.
+/// Old and new addresses of a part of a layer.
 struct Resample {
     /// In the new frame.
-    new_anchor: vec3f,
-    planet_radius_m: f32,
+    new_proxy: Proxy,
     /// In the old frame.
-    old_anchor: vec3f,
-    proxy_altitude_m: f32,
+    old_proxy: Proxy,
+    /// Where rays start about the new anchor, in the new frame (domes).
+    reference: vec3f,
+    planet_radius_m: f32,
     /// From the old frame's origin to the new one's, x and z, m.
     moved: vec2f,
-    /// As those of the proxy.
-    from_above: u32,
-    least_m: f32,
+    /// Most places of a search for what the old texels show (domes).
+    parallax_steps: u32,
+    /// Angle of a texel of the old tiles, rad (domes).
+    texel_angle_rad: f32,
 }
 
 @group(0) @binding(0) var<uniform> resample: Resample;
@@ -52,23 +61,40 @@ fn in_other_frame(planet_radius_m: f32, altitude: f32, position: vec3f, moved: v
     return vec3f(across.x, select(y, position.y, all(moved == vec2f(0.0))), across.y);
 }
 
+#ifdef DOMES
+/// What is seen about the old anchor from where rays start about the new one, along a texel's ray: a dome's texels are no
+/// places in the sky but directions.
+fn shown_before(way: Resample, table: PageTable, square: vec2f) -> LayerRadiance {
+    let r = way.planet_radius_m;
+    let direction = texel_direction(r, way.new_proxy, way.reference, square);
+    let along = way.reference + direction * way.new_proxy.radius_m;
+    var eye: View;
+    eye.altitude_m = altitude_m(r, way.reference);
+    eye.position = in_other_frame(r, eye.altitude_m, way.reference, way.moved);
+    eye.parallax_steps = way.parallax_steps;
+    eye.pixel_angle_rad = way.texel_angle_rad;
+    let toward = in_other_frame(r, altitude_m(r, along), along, way.moved) - eye.position;
+    return cached_part(r, eye, Kept(way.old_proxy, table), normalize(toward), false);
+}
+#else
+/// What the cache holds at a point of the surface.
+fn shown_before(way: Resample, table: PageTable, square: vec2f) -> LayerRadiance {
+    let r = way.planet_radius_m;
+    let anchor = way.new_proxy.anchor;
+    let on_surface = surface_point(r, way.new_proxy, anchor, altitude_m(r, anchor), direction_from_octahedral(square));
+    // From above not all of the surface is on the shell.
+    let altitude = select(way.new_proxy.altitude_m, altitude_m(r, on_surface), way.new_proxy.from_above > 0u);
+    let before = in_other_frame(r, altitude, on_surface, way.moved);
+    return cached_radiance(table, before - way.old_proxy.anchor, false);
+}
+#endif
+
 @compute @workgroup_size(8, 8, 1)
 fn resample_tiles(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
-    let layer = resample;
     let item = work[group.z];
     let stored = group.xy * 8u + local.xy;
     let square = (texel_in_level(item.tile, stored) + 0.5) / item.texels_per_side;
-    let from_anchor = direction_from_octahedral(square);
-    var proxy: Proxy;
-    proxy.anchor = layer.new_anchor;
-    proxy.altitude_m = layer.proxy_altitude_m;
-    proxy.from_above = layer.from_above;
-    proxy.least_m = layer.least_m;
-    let on_surface = layer.new_anchor + from_anchor * distance_to_proxy_m(layer.planet_radius_m, proxy, layer.new_anchor, from_anchor);
-    // From above not all of the surface is on the sphere.
-    let altitude = select(layer.proxy_altitude_m, altitude_m(layer.planet_radius_m, on_surface), layer.from_above > 0u);
-    let before = in_other_frame(layer.planet_radius_m, altitude, on_surface, layer.moved);
-    let held = cached_radiance(item.table, before - layer.old_anchor, false);
+    let held = shown_before(resample, item.table, square);
     let radiance = vec4f(held.single, held.octaves, held.ambient, held.transmittance);
     let target_texel = vec2u(0u, item.place * TILE_STRIDE) + stored;
     textureStore(page_radiance, target_texel, accumulated(vec4f(0.0), radiance, 1.0));

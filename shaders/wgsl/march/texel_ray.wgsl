@@ -2,7 +2,7 @@
 #import skycell::scene::Proxy
 #import skycell::octahedral::direction_from_octahedral
 #import skycell::shell::altitude_m
-#import skycell::proxy::distance_to_proxy_m
+#import skycell::surface::surface_point
 
 /// Texels along a stored tile, its gutters of GUTTER texels on every side included.
 const TILE_STRIDE: u32 = 64u;
@@ -33,8 +33,13 @@ fn above_horizon(planet_radius_m: f32, direction: vec3f, position: vec3f) -> vec
 /// square, 0...1, as its address.
 fn texel_direction(planet_radius_m: f32, proxy: Proxy, reference: vec3f, square: vec2f) -> vec3f {
     let from_anchor = direction_from_octahedral(square);
-    let on_surface = proxy.anchor + from_anchor * distance_to_proxy_m(planet_radius_m, proxy, proxy.anchor, from_anchor);
+    let anchor_altitude = altitude_m(planet_radius_m, proxy.anchor);
+    let on_surface = surface_point(planet_radius_m, proxy, proxy.anchor, anchor_altitude, from_anchor);
     let direction = normalize(on_surface - reference);
-    // From above nothing but the layer's own edge is hidden by the ground.
+#ifdef ABOVE
+    // From above the ground hides nothing of the layer in front of it.
     return select(above_horizon(planet_radius_m, direction, reference), direction, proxy.from_above > 0u);
+#else
+    return above_horizon(planet_radius_m, direction, reference);
+#endif
 }

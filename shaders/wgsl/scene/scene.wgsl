@@ -186,22 +186,28 @@ struct Part {
     /// ... and between two distances from where the ray starts, m.
     near_m: f32,
     far_m: f32,
+    /// The same for a ray that stands in cloud there: it begins and ends in the next gap between clouds, or here.
+    near_gap_m: f32,
+    far_gap_m: f32,
+    pad_near: f32,
+    pad_far: f32,
 }
 
 /// What keeps a part of a layer: a surface on which the results of rays through it lie.
 struct Proxy {
     /// Centre of the octahedral addresses, in the cell's frame; drifts with the layer's wind.
     anchor: vec3f,
-    /// Where the sphere stands, m above ground.
+    /// Where a shell stands, m above ground; of a dome, the mean altitude of what it keeps.
     altitude_m: f32,
     part: Part,
     /// Index of the layer.
     layer: u32,
+    /// Of a dome, which is a sphere about the anchor, m.
+    radius_m: f32,
     /// 1: anchor and reference are above the layer, and rays go down to it.
     from_above: u32,
-    /// From above: rays that pass over the sphere have their places no nearer than this, m.
+    /// From above: rays that pass over the shell have their places no nearer than this, m.
     least_m: f32,
-    pad_z: u32,
 }
 
 struct Scene {

@@ -3,7 +3,7 @@
 use super::support::{Point, Probe, judge};
 use glam::DVec3;
 use skycell_server::cache::ProxySphere;
-use skycell_server::march::CellFrame;
+use skycell_server::march::{CellFrame, Surface};
 use skycell_server::probe::FunctionQuestion as Question;
 use skycell_tests::numbers::{RADIUS_M, Random, U, worst};
 use std::f64::consts::PI;
@@ -42,13 +42,26 @@ fn rays() -> Vec<Point> {
 fn place(point: &Point) -> (ProxySphere, DVec3, DVec3) {
     let [[anchor_y, x, y, _], [dx, dy, dz, sphere_m]] = point.map(|p| p.map(f64::from));
     let eye = DVec3::new(x, y, 0.0);
+    let (frame, anchor) = (
+        CellFrame::at(DVec3::ZERO, RADIUS_M),
+        DVec3::new(0.0, anchor_y, 0.0),
+    );
+    let Surface::ShellFromAbove { altitude_m, .. } = Surface::shell(&frame, anchor, sphere_m)
+    else {
+        panic!("the anchor is above");
+    };
     let sphere = ProxySphere {
-        frame: CellFrame::at(DVec3::ZERO, RADIUS_M),
-        anchor: DVec3::new(0.0, anchor_y, 0.0),
-        altitude_m: sphere_m,
-        top_m: sphere_m,
+        frame,
+        anchor,
+        // As the probe has it.
+        surface: Surface::ShellFromAbove {
+            altitude_m,
+            least_m: 1e-3,
+        },
+        top_m: Some(sphere_m),
         reference: eye,
         seen_between_m: None,
+        band: None,
     };
     (sphere, eye, DVec3::new(dx, dy, dz))
 }
@@ -72,9 +85,10 @@ fn a_ray_from_above_reads_the_texel_that_was_marched_for_it() {
     // The far side of the sphere, as from below.
     let defect = worst(points.iter().map(|point| {
         let (sphere, eye, direction) = place(point);
-        let far_m = sphere
-            .frame
-            .distance_to_shell_m(eye, direction.normalize(), sphere.altitude_m);
+        let far_m =
+            sphere
+                .frame
+                .distance_to_shell_m(eye, direction.normalize(), point[1][3].into());
         let address = (eye + direction * far_m - sphere.anchor).normalize();
         let texel = (sphere.point(address) - eye).normalize();
         (
@@ -94,7 +108,7 @@ fn the_surface_seen_from_above_is_where_its_twin_has_it() {
     let apart = |point: &Point, distance_m: f64| {
         let (sphere, eye, direction) = place(point);
         let direction = direction.normalize();
-        let twin_m = sphere.distance_m(eye, direction);
+        let twin_m = (sphere.point_along(eye, direction) - eye).dot(direction);
         let from_anchor = |m: f64| (eye + direction * m - sphere.anchor).normalize_or_zero();
         let place_m = f64::from(point[0][2]).abs() + twin_m;
         // Where the ray from the anchor touches the sphere both roots and both surfaces meet: their places are as far apart as

@@ -116,6 +116,13 @@ impl SphereCache {
         );
     }
 
+    /// What a tile shows is what is seen from a place.
+    pub(in crate::cache) fn shows_from(&mut self, key: &TileKey, from: DVec3) {
+        if let Some(tile) = self.tiles.get_mut(key) {
+            tile.shown_from = from;
+        }
+    }
+
     /// Where the rays of a tile's texels started on the mean, in the frame that drifts with the layer.
     #[must_use]
     pub fn shown_from(&self, key: &TileKey) -> Option<DVec3> {
@@ -204,7 +211,7 @@ mod tests {
             .remove(&0)
             .expect("a sphere");
         caches.sphere_mut(SPHERE).set_wanted(&coarse, &after);
-        let filled = caches.resample(SPHERE, &old, DVec3::ZERO, turned);
+        let filled = caches.resample(SPHERE, &old, DVec3::ZERO, false, turned);
         let slots: std::collections::HashSet<_> = filled.iter().map(|(_, slot)| *slot).collect();
         assert_eq!(slots.len(), filled.len(), "a slot has one owner");
         caches.release(old);

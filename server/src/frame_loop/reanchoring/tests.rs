@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::frame_loop::driven::{Driven, FPS, apart, camera, mean_and_most, middle, steps, view};
-use crate::march::drift_m_per_s;
+use crate::march::{CellFrame, drift_m_per_s};
 use image::RgbImage;
 use serde_json::{Value, json};
 use skycell_protocol::ViewerId;
@@ -138,9 +138,10 @@ fn a_pass_that_looks_at_the_wrong_place_is_found() {
         (
             "the new anchor for the old one",
             |path, source| match path {
-                "march/resample.wgsl" => {
-                    source.replace("before - layer.old_anchor", "before - layer.new_anchor")
-                }
+                "march/resample.wgsl" => source.replace(
+                    "before - way.old_proxy.anchor",
+                    "before - way.new_proxy.anchor",
+                ),
                 _ => source.to_owned(),
             },
         ),

@@ -8,7 +8,7 @@ use crate::cache::{
 };
 use crate::cells::Cells;
 use crate::composite::view_frustum;
-use crate::march::{ActiveLayer, CellFrame, active_layers};
+use crate::march::{ActiveLayer, CellFrame, Surface, active_layers};
 use glam::DVec3;
 use rayon::prelude::*;
 use skycell_protocol::{Camera, CellId, FrameSize, Moment, Scene, ViewerId};
@@ -220,10 +220,13 @@ impl<'a> CrowdTiles<'a> {
                     ProxySphere {
                         frame: anchored.frame,
                         anchor: anchored.frame.from_world(anchored.anchor_m(index, drifts)),
-                        altitude_m: layer.proxy_altitude_m,
-                        top_m: between.top_altitude_m(),
+                        surface: Surface::Shell {
+                            altitude_m: layer.proxy_altitude_m,
+                        },
                         reference: anchored.frame.from_world(cell.reference_m),
+                        top_m: None,
                         seen_between_m: Some([between.base_altitude_m(), between.top_altitude_m()]),
+                        band: None,
                     }
                 });
                 spheres.insert(*id, of_layers.collect());
