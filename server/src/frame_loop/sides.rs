@@ -1,14 +1,18 @@
 //! Viewers in, between and above layers: for whom the caches of a cell hold, and what their frames need beside those of
 //! viewers below all clouds.
 
+#[cfg(test)]
+mod tests;
+
 use super::cells_on_device::ActiveCell;
 use super::interface::ViewRequest;
 use super::renderer::{SkyRenderer, frame_key};
 use crate::cells::Storeys;
-use crate::composite::{ground_key, with_above, with_parallax};
+use crate::composite::{with_above, with_parallax};
+use crate::config::FrameFilter;
 use crate::gpu::PipelineKey;
-use crate::march::{Side, layer_bounds_m};
-use skycell_protocol::{CellId, RendererKind};
+use crate::march::{LayerBlend, Side, active_layers, layer_bounds_m};
+use skycell_protocol::{CellId, RendererKind, Scene};
 
 /// From rays back to the cache, a camera goes this far out of a layer, m.
 const RETURN_MARGIN_M: f64 = 50.0;
@@ -85,19 +89,31 @@ impl SkyRenderer {
         self.cells.set_storeys(Storeys::of(&bounds_m));
     }
 
-    /// What a view needs that looks down on a layer.
-    fn above_keys(&self, view: &ViewRequest) -> Vec<PipelineKey> {
-        let filter = self.quality_of(view, None).settings.frame_filter;
-        let key = frame_key(&self.gpu, &self.scene, filter, self.blend(), false);
-        let above = with_above(key);
-        vec![above, with_parallax(above), ground_key(above)]
+    /// What frames of a scene need that look down on a layer.
+    pub(super) fn above_keys(&self, scene: &Scene) -> Vec<PipelineKey> {
+        let blend = LayerBlend::of(scene, &active_layers(scene), &self.kept_on);
+        let of_filter = |filter| {
+            let above = with_above(frame_key(&self.gpu, scene, filter, blend, false));
+            [above, with_parallax(above)]
+        };
+        FrameFilter::ALL.into_iter().flat_map(of_filter).collect()
+    }
+
+    /// Whether some viewer looks down on a layer, or is about to.
+    pub(super) fn somebody_looks_down(&self) -> bool {
+        let bounds_m = layer_bounds_m(&self.scene, &self.active);
+        self.viewers.values().any(|viewer| {
+            let altitude_m = viewer.view.camera.position_m()[1];
+            viewer.view.renderer == RendererKind::Cached
+                && (bounds_m.iter()).any(|between| Side::of(*between, altitude_m) != Side::Below)
+        })
     }
 
     /// Whether the pipelines of a view's frames are there. Those of viewers above a layer are made when the first comes there.
     pub(super) fn can_be_shown(&self, view: &ViewRequest) -> bool {
         let altitude_m = view.camera.position_m()[1];
-        !self.looks_down(altitude_m)
-            || (self.above_keys(view).into_iter()).all(|key| self.pipelines.get(key).is_some())
+        let is_made = |key: PipelineKey| self.pipelines.get(key).is_some();
+        !self.looks_down(altitude_m) || self.above_keys(&self.scene).into_iter().all(is_made)
     }
 
     /// Has the pipelines of a view that is about to look down on a layer made, beside the frames.
@@ -105,7 +121,7 @@ impl SkyRenderer {
         let altitude_m = view.camera.position_m()[1];
         let sides = self.sides_at(altitude_m);
         if view.renderer == RendererKind::Cached && sides.iter().any(|side| *side != Side::Below) {
-            let keys = self.above_keys(view);
+            let keys = self.above_keys(&self.scene);
             self.pipelines.prepare_later(&self.gpu, keys);
         }
     }

@@ -17,7 +17,6 @@ fn dome_distance_m(radius_m: f32, position: vec3f, direction: vec3f) -> f32 {
     return select(root - b, -c / max(b + root, 1e-30), b > 0.0);
 }
 
-#ifdef ABOVE
 /// How far along a unit direction the surface of a proxy is that is seen from above, m; `sphere` are the ray's roots of its
 /// shell.
 ///
@@ -36,7 +35,6 @@ fn distance_from_above_m(planet_radius_m: f32, proxy: Proxy, origin: vec3f, sphe
     let beyond_m = max(sqrt(max(b * b - c, 0.0)) - b, proxy.least_m);
     return select(beyond_m, sphere.near_m, is_seen);
 }
-#endif
 
 /// How far along a unit direction a proxy's surface is from a place inside or above it, m. origin_altitude_m must be
 /// altitude_m(origin).
