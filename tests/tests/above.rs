@@ -130,14 +130,13 @@ fn beside_the_reference_a_viewer_above_sees_clouds_where_they_are() -> Outcome {
 }
 
 #[test]
-fn a_surface_that_is_taken_from_below_is_found() -> Outcome {
+fn rays_that_are_held_above_the_horizon_are_found() -> Outcome {
     let mut still = renderer()?;
     let camera = Camera::new([0.0, 8_000.0, 0.0], 0.0, -25.0, 60.0)?;
     still.plant(Some(|path, source| match path {
-        "composite/cached.wgsl" => source.replace(
-            "let point = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);",
-            "let point = point_at_altitude(planet_radius_m, eye, direction, proxy.altitude_m);",
-        ),
+        "march/texel_ray.wgsl" => {
+            source.replace("direction, proxy.from_above > 0u);", "direction, false);")
+        }
         _ => source.to_owned(),
     }))?;
     let flip = apart(&mut still, "planted", camera, [0.0; 3])?;

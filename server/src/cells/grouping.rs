@@ -4,7 +4,7 @@
 //! enters another within [`ENTER_SHARE`] of it, and cells merge only if all members would be that near, where the reference
 //! is and where it will go, now and soon. Who only passes a cell does not enter it.
 
-use super::{Cell, CellChange, Cells, PLACED_HYSTERESIS, Place};
+use super::{Cell, CellChange, CellLimit, Cells, PLACED_HYSTERESIS, Place};
 use glam::DVec3;
 use skycell_protocol::{CellId, ViewerId};
 use std::collections::{BTreeMap, BTreeSet};
@@ -114,13 +114,12 @@ impl Cells {
     /// References go to the means of their members, that of one alone in a step.
     fn follow(&mut self, passed_s: f64) {
         let share = 1.0 - (-passed_s.max(0.0) / FOLLOW_TIME_S).exp();
-        let lag_max_m = LAG_SHARE * self.limit.radius_m();
-        let limit = self.limit;
         let places = &self.places;
         for cell in self.cells.values_mut().filter(|cell| !cell.placed) {
             let Some(mean_m) = mean(&cell.members, places) else {
                 continue;
             };
+            let limit = cell.limit;
             let away_m = limit.distance_m(mean_m, cell.reference_m);
             let near_m = if cell.is_settled { SET_OUT_M } else { ARRIVE_M };
             cell.is_settled = away_m <= near_m;
@@ -133,7 +132,7 @@ impl Cells {
                 cell.reference_m = mean_m;
                 continue;
             }
-            let least = 1.0 - lag_max_m / away_m;
+            let least = 1.0 - LAG_SHARE * limit.radius_m() / away_m;
             cell.reference_m = cell.reference_m.lerp(mean_m, share.max(least));
         }
     }
@@ -147,7 +146,7 @@ impl Cells {
             let Some(cell) = self.cells.get(&id) else {
                 continue;
             };
-            let limit = self.limit;
+            let limit = cell.limit;
             let is_far = |reference_m: DVec3, position_m: DVec3| {
                 limit.distance_m(reference_m, position_m) > limit.radius_m()
             };
@@ -163,7 +162,11 @@ impl Cells {
                 continue;
             }
             let mut reference_m = cell.reference_m;
-            let mut kept = self.larger_part(&places, reference_m);
+            if let Some(strict) = self.few_who_ask_for_less(&places, reference_m) {
+                leaving.extend(strict);
+                continue;
+            }
+            let mut kept = self.larger_part(&places, reference_m, limit);
             if kept.len() == places.len() {
                 // A crowd without a gap loses its edge, unless that is most of it.
                 kept.retain(|(_, place)| !is_far(reference_m, place.position_m));
@@ -195,12 +198,35 @@ impl Cells {
         }
     }
 
+    /// Those of a cell's members whose limit is the narrowest, where they are fewer than the rest and the rest could stay without
+    /// them: a wish for less error must not take a crowd apart.
+    fn few_who_ask_for_less(
+        &self,
+        members: &[(ViewerId, Place)],
+        reference_m: DVec3,
+    ) -> Option<Vec<ViewerId>> {
+        let radius_m = |m: &(ViewerId, Place)| self.limit_of(&m.1).radius_m();
+        let least_m = members.iter().map(radius_m).fold(f64::INFINITY, f64::min);
+        let (strict, rest): (Vec<&(ViewerId, Place)>, Vec<_>) =
+            members.iter().partition(|&m| radius_m(m) <= least_m);
+        let limit = rest
+            .iter()
+            .map(|m| self.limit_of(&m.1))
+            .reduce(CellLimit::narrower)?;
+        let stays = |m: &&(ViewerId, Place)| {
+            limit.distance_m(reference_m, m.1.position_m) <= limit.radius_m()
+        };
+        (strict.len() < rest.len() && rest.iter().all(stays))
+            .then(|| strict.into_iter().map(|m| m.0).collect())
+    }
+
     /// Those on one side of a gap: all members where there is none that is worth it, and of two equal parts that of the first
     /// member. The gap is looked for between two members that will soon be far apart.
     fn larger_part(
         &self,
         members: &[(ViewerId, Place)],
         reference_m: DVec3,
+        limit: CellLimit,
     ) -> Vec<(ViewerId, Place)> {
         let velocity = members.iter().map(|m| m.1.velocity_m_per_s);
         let velocity = velocity.sum::<DVec3>() / members.len().max(1) as f64;
@@ -211,7 +237,7 @@ impl Cells {
                 .iter()
                 .map(|m| soon_m(&m.1))
                 .max_by(|a, b| {
-                    let [a, b] = [a, b].map(|p| self.limit.distance_m(from_m, *p));
+                    let [a, b] = [a, b].map(|p| limit.distance_m(from_m, *p));
                     a.total_cmp(&b)
                 })
                 .unwrap_or(from_m)
@@ -226,8 +252,7 @@ impl Cells {
         along.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.0.cmp(&b.1.0)));
         let gaps = along.windows(2).map(|two| two[1].0 - two[0].0);
         let widest = gaps.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
-        let Some((index, _)) = widest.filter(|gap| gap.1 >= GAP_SHARE * self.limit.radius_m())
-        else {
+        let Some((index, _)) = widest.filter(|gap| gap.1 >= GAP_SHARE * limit.radius_m()) else {
             return members.to_vec();
         };
         let far = along.split_off(index + 1);
@@ -249,7 +274,8 @@ impl Cells {
             .filter_map(|id| Some((self.cells.get(&id)?.reference_m.x, id)))
             .collect();
         formed.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let reach_m = ENTER_SHARE * self.limit.radius_m();
+        let radii_m = self.cells.values().map(|cell| cell.limit.radius_m());
+        let reach_m = ENTER_SHARE * radii_m.fold(0.0, f64::max);
         for (index, (x_m, one)) in formed.iter().enumerate() {
             for (_, other) in formed[index + 1..]
                 .iter()
@@ -258,7 +284,9 @@ impl Cells {
                 let (Some(a), Some(b)) = (self.cells.get(one), self.cells.get(other)) else {
                     continue;
                 };
-                if self.limit.distance_m(a.reference_m, b.reference_m) > reach_m {
+                let limit = a.limit.narrower(b.limit);
+                let away_m = limit.distance_m(a.reference_m, b.reference_m);
+                if away_m > ENTER_SHARE * limit.radius_m() {
                     continue;
                 }
                 let larger_first = |a: (&Cell, CellId), b: (&Cell, CellId)| {
@@ -312,16 +340,17 @@ impl Cells {
 
     /// The nearest formed cell that a viewer may enter, but for the one where it is.
     pub(super) fn nearest_formed(&self, place: &Place) -> Option<CellId> {
-        let reach_m = ENTER_SHARE * self.limit.radius_m();
+        let own = self.limit_of(place);
         let mut near: Vec<(f64, CellId)> = self
             .cells
             .iter()
             .filter(|(id, cell)| !cell.placed && **id != place.cell)
             .map(|(id, cell)| {
-                let away_m = self.limit.distance_m(cell.reference_m, place.position_m);
-                (away_m, *id)
+                let limit = own.narrower(cell.limit);
+                let away_m = limit.distance_m(cell.reference_m, place.position_m);
+                (away_m / limit.radius_m(), *id)
             })
-            .filter(|(away_m, _)| *away_m <= reach_m)
+            .filter(|(share, _)| *share <= ENTER_SHARE)
             .collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
         near.into_iter()
@@ -351,9 +380,10 @@ impl Cells {
         let Some(cell) = self.cells.get(&cell) else {
             return false;
         };
-        let radius_m = self.limit.radius_m();
+        let entering_limits = entering.iter().map(|place| self.limit_of(place));
+        let limit = entering_limits.fold(cell.limit, CellLimit::narrower);
         let is_within = |from_m: DVec3, position_m: DVec3, share: f64| {
-            self.limit.distance_m(from_m, position_m) <= share * radius_m
+            limit.distance_m(from_m, position_m) <= share * limit.radius_m()
         };
         let members: Vec<&Place> = cell
             .members

@@ -91,6 +91,17 @@ impl CellLimit {
         self.storeys.share(a_m.y, b_m.y)
     }
 
+    /// What keeps to both limits.
+    #[must_use]
+    pub fn narrower(self, other: Self) -> Self {
+        let radius_up_m = |limit: Self| limit.radius_m / limit.up_weight;
+        Self::new(
+            self.radius_m.min(other.radius_m),
+            radius_up_m(self).min(radius_up_m(other)),
+        )
+        .with_storeys(self.storeys)
+    }
+
     /// Farthest from the reference sideways, m.
     #[must_use]
     pub fn radius_m(self) -> f64 {

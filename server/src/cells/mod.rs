@@ -33,6 +33,8 @@ pub struct Cell {
     pub placed: bool,
     /// Who belongs to it, in the order of joining.
     pub members: Vec<ViewerId>,
+    /// What keeps to the limits of all members, where the cell was not placed.
+    limit: CellLimit,
     /// The reference is where it should be.
     is_settled: bool,
 }
@@ -56,6 +58,8 @@ struct Place {
     /// Smoothed; a jump is no motion.
     velocity_m_per_s: DVec3,
     cell: CellId,
+    /// How far it may be from its reference, where it is not as far as everybody.
+    limit: Option<CellLimit>,
     /// The cells that it left last, and when, the last first.
     left: [Option<(CellId, f64)>; 4],
 }
@@ -95,6 +99,7 @@ impl Cells {
                 radius_m: cell.radius_m,
                 placed: true,
                 members: Vec::new(),
+                limit,
                 is_settled: true,
             });
         }
@@ -108,7 +113,7 @@ impl Cells {
         id
     }
 
-    /// How wide cells that form may be.
+    /// How wide cells that form may be, where no member asks for less.
     #[must_use]
     pub fn limit(&self) -> CellLimit {
         self.limit
@@ -120,8 +125,9 @@ impl Cells {
         if limit != self.limit {
             self.limit = limit;
             self.restless = true;
-            for cell in self.cells.values_mut().filter(|cell| !cell.placed) {
-                cell.radius_m = limit.radius_m();
+            let ids: Vec<CellId> = self.cells.keys().copied().collect();
+            for id in ids {
+                self.keep_to_limits(id);
             }
         }
     }
@@ -131,6 +137,44 @@ impl Cells {
         if storeys != self.limit.storeys() {
             self.limit = self.limit.with_storeys(storeys);
             self.restless = true;
+            let ids: Vec<CellId> = self.cells.keys().copied().collect();
+            for id in ids {
+                self.keep_to_limits(id);
+            }
+        }
+    }
+
+    /// Says how far a viewer may be from the reference of a cell that forms, where that is not as far as everybody may. It
+    /// narrows the cells that it is in, and no others.
+    pub fn set_limit_of(&mut self, viewer: ViewerId, limit: Option<CellLimit>) {
+        let Some(place) = self.places.get_mut(&viewer) else {
+            return;
+        };
+        if place.limit != limit {
+            place.limit = limit;
+            self.restless = true;
+            let cell = place.cell;
+            self.keep_to_limits(cell);
+        }
+    }
+
+    /// How far a viewer may be from its reference.
+    fn limit_of(&self, place: &Place) -> CellLimit {
+        let limit = place.limit.unwrap_or(self.limit);
+        limit.with_storeys(self.limit.storeys())
+    }
+
+    /// A formed cell is as narrow as its members ask for.
+    fn keep_to_limits(&mut self, id: CellId) {
+        let Some(cell) = self.cells.get(&id).filter(|cell| !cell.placed) else {
+            return;
+        };
+        let members = cell.members.iter();
+        let limits = members.filter_map(|viewer| Some(self.limit_of(self.places.get(viewer)?)));
+        let limit = limits.reduce(CellLimit::narrower).unwrap_or(self.limit);
+        if let Some(cell) = self.cells.get_mut(&id) {
+            cell.limit = limit;
+            cell.radius_m = limit.radius_m();
         }
     }
 
@@ -164,6 +208,7 @@ impl Cells {
             grouped_m: position_m,
             velocity_m_per_s: DVec3::ZERO,
             cell: CellId(0),
+            limit: None,
             left: [None; 4],
         };
         place.cell = self
@@ -190,6 +235,7 @@ impl Cells {
             radius_m: self.limit.radius_m(),
             placed: false,
             members: Vec::new(),
+            limit: self.limit,
             is_settled: true,
         })
     }
@@ -198,6 +244,7 @@ impl Cells {
         if let Some(cell) = self.cells.get_mut(&cell) {
             cell.members.push(viewer);
         }
+        self.keep_to_limits(cell);
     }
 
     /// Formed cells without members go.
@@ -212,6 +259,7 @@ impl Cells {
         {
             self.cells.remove(&cell);
         }
+        self.keep_to_limits(cell);
     }
 
     /// The nearest placed cell that holds a position, measured in its own radius.

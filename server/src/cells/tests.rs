@@ -45,8 +45,11 @@ fn check(cells: &Cells, who: &str) {
             assert_eq!(cells.cell_of(*viewer), Some(id), "{who}");
             let position_m = cells.places[viewer].position_m;
             if !cell.placed {
-                let away_m = cells.limit.distance_m(position_m, cell.reference_m);
-                assert!(away_m <= cells.limit.radius_m(), "{who}: {away_m} m");
+                let place = &cells.places[viewer];
+                for limit in [cell.limit, cells.limit_of(place)] {
+                    let away_m = limit.distance_m(position_m, cell.reference_m);
+                    assert!(away_m <= limit.radius_m(), "{who}: {away_m} m");
+                }
             }
         }
     }
@@ -223,6 +226,48 @@ fn cells_that_a_narrow_limit_has_split_merge_again_though_nobody_moves() {
     assert!(!cells.restless, "a crowd at rest costs nothing");
 }
 
+#[test]
+fn who_asks_for_less_error_leaves_a_wide_crowd_and_does_not_take_it_apart() {
+    let mut cells = empty();
+    let places = [0.0, 500.0, 1_000.0, 1_500.0, 2_000.0];
+    settle(&mut cells, &places);
+    assert_eq!(cells.iter().count(), 1);
+    let strict = ViewerId(1);
+    cells.set_limit_of(strict, Some(CellLimit::new(300.0, 100.0)));
+    let mut changes = Vec::new();
+    for _ in 0..600 {
+        changes.extend(cells.regroup(TICK_S));
+        check(&cells, "strict");
+    }
+    assert_eq!(cells.iter().count(), 2);
+    assert!(changes.iter().all(|change| change.viewer == strict));
+    assert_eq!(changes.len(), 1, "{changes:?}");
+    let own = cells.cell_of(strict).expect("a cell");
+    assert_eq!(cells.get(own).expect("it is there").radius_m, 300.0);
+    // Without the wish all are together again.
+    cells.set_limit_of(strict, None);
+    for _ in 0..300 {
+        cells.regroup(TICK_S);
+    }
+    assert_eq!(cells.iter().count(), 1);
+}
+
+#[test]
+fn a_narrow_crowd_shares_a_cell_with_whoever_asks_for_less_error() {
+    let mut cells = empty();
+    settle(&mut cells, &[0.0, 20.0, 40.0, 60.0]);
+    cells.set_limit_of(ViewerId(2), Some(CellLimit::new(300.0, 100.0)));
+    for _ in 0..100 {
+        cells.regroup(TICK_S);
+    }
+    assert_eq!(cells.iter().count(), 1);
+    // The one who would make it too wide does not come in.
+    cells.place(ViewerId(9), at(1_000.0));
+    cells.regroup(TICK_S);
+    check(&cells, "narrow");
+    assert_eq!(cells.iter().count(), 2);
+}
+
 /// What happened to a crowd.
 struct Told {
     changes: Vec<(u32, CellChange)>,
@@ -230,6 +275,7 @@ struct Told {
     ticks: u32,
 }
 
+/// Every seventh asks for less error.
 fn told(motion: CrowdMotion, count: usize, minutes: u32) -> Told {
     let mut crowd = Crowd::new(count, motion, 7);
     let mut cells = plaza();
@@ -241,6 +287,9 @@ fn told(motion: CrowdMotion, count: usize, minutes: u32) -> Told {
     for tick in 0..told.ticks {
         for (id, position_m) in ids(count).zip(crowd.positions_m()) {
             cells.place(id, position_m);
+            if id.0 % 7 == 0 {
+                cells.set_limit_of(id, Some(CellLimit::new(800.0, 250.0)));
+            }
         }
         let changes = cells.regroup(TICK_S);
         told.changes

@@ -99,6 +99,24 @@ fn a_bad_value_is_told_with_its_source_and_what_is_allowed() {
             ["file ", "/render/samples is 17; allowed: 1 to 16"],
         ),
         (
+            "[render]\nproxies = 'static-dome'\nslabs = 2",
+            vec![],
+            ["file ", "/render/slabs is 2; allowed: 1 with static-dome"],
+        ),
+        (
+            "[render]\nbands = 5",
+            vec![],
+            ["file ", "/render/bands is 5; allowed: 2 to 4"],
+        ),
+        (
+            "",
+            vec![("SKYCELL_RENDER_PROXIES", "dome")],
+            [
+                "environment",
+                "/render/proxies is \"dome\"; allowed: \"in-layer\"",
+            ],
+        ),
+        (
             "[render]\nquality = {max_error = 2}",
             vec![],
             [

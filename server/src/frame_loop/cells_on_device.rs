@@ -6,8 +6,7 @@ use super::viewers_on_device::ActiveViewer;
 use crate::cache::{Band, ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
 use crate::composite::view_frustum;
 use crate::march::{
-    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, ProxySetup, Side,
-    Surface, scene_uniform,
+    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, Side, scene_uniform,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, Scene, ViewerId};
@@ -21,9 +20,6 @@ const ANCHOR_DRIFT_MAX_M: f64 = 4_000.0;
 const ANCHOR_RISE_MAX: f64 = 0.5;
 /// Heights above the reference count as this at least, m.
 const SPHERE_HEIGHT_MIN_M: f64 = 100.0;
-
-/// A dome is left by who is farther from its middle than this share of its radius.
-const DOME_LEFT_SHARE: f64 = 0.5;
 
 /// Under wind tiles move past the viewers; what they need is looked up this often. At 50 m/s that is 2.5 m.
 const REQUESTS_INTERVAL: Duration = Duration::from_millis(50);
@@ -362,42 +358,6 @@ impl SkyRenderer {
         }
     }
 
-    /// Radius of a cell's smallest dome, m.
-    fn smallest_dome_m(&self, cell: &ActiveCell) -> Option<f64> {
-        let radius_m = |proxy| match self.sphere_of(cell, proxy).surface {
-            Surface::Dome { radius_m } => Some(radius_m),
-            Surface::Shell { .. } | Surface::ShellFromAbove { .. } => None,
-        };
-        self.proxies
-            .iter()
-            .filter_map(radius_m)
-            .min_by(f64::total_cmp)
-    }
-
-    /// Whether a static dome goes on being marched from where it began, though viewers are about another place by now.
-    fn dome_stays(&self, id: CellId, reference_m: DVec3) -> bool {
-        self.kept_on.setup == ProxySetup::StaticDome
-            && self.active_cells.get(&id).is_some_and(|cell| {
-                let limit_m = self
-                    .smallest_dome_m(cell)
-                    .map_or(0.0, |radius_m| DOME_LEFT_SHARE * radius_m);
-                cell.reference_m.distance(reference_m) <= limit_m
-                    && (self.cells.limit()).share_storey(cell.reference_m, reference_m)
-            })
-    }
-
-    /// How far aside of a cell's reference its anchors may be, m, and how far above or below it, as a share of a layer's height.
-    fn anchors_may_be_off(&self, cell: &ActiveCell) -> (f64, f64) {
-        if self.kept_on.follows() {
-            return (self.kept_on.follow_m, 0.0);
-        }
-        // The reference stays well inside its domes.
-        let inside_m = self
-            .smallest_dome_m(cell)
-            .map_or(f64::INFINITY, |radius_m| DOME_LEFT_SHARE * radius_m);
-        (ANCHOR_DRIFT_MAX_M.min(inside_m), ANCHOR_RISE_MAX)
-    }
-
     /// Whether texels of a cell no longer have even sizes for its viewers.
     fn anchors_are_far(&self, id: CellId) -> bool {
         let Some(cell) = self.active_cells.get(&id) else {
@@ -413,18 +373,14 @@ impl SkyRenderer {
         if in_cell.peek().is_none() {
             return false;
         }
-        let (aside_max_m, rise_max) = self.anchors_may_be_off(cell);
-        let follow_m = if self.kept_on.follows() {
-            self.kept_on.follow_m
-        } else {
-            0.0
-        };
         // Those with rays of their own have windows that a new frame of the cell would end.
         let is_read = in_cell.any(ActiveViewer::reads_cache);
         self.active.iter().enumerate().any(|(place, layer)| {
             let off = self.anchor_m(cell, place) - reference;
             let height_m = layer.proxy_altitude_m - cell.frame.altitude_m(reference);
-            let rise_max_m = (rise_max * height_m.abs().max(SPHERE_HEIGHT_MIN_M)).max(follow_m);
+            let rise_max_m = ANCHOR_RISE_MAX * height_m.abs().max(SPHERE_HEIGHT_MIN_M);
+            let [aside_max_m, rise_max_m] =
+                self.anchors_may_be_off(cell, [ANCHOR_DRIFT_MAX_M, rise_max_m]);
             off.with_y(0.0).length() > aside_max_m
                 || (is_read && off.y.abs() > rise_max_m)
                 || (is_read && !self.is_anchored_aright(cell, place))

@@ -4,6 +4,7 @@
 mod auditing;
 mod awaited_scene;
 mod cells_on_device;
+mod domes_on_device;
 #[cfg(test)]
 mod driven;
 pub mod interface;

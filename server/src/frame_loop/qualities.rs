@@ -4,7 +4,7 @@ use super::cells_on_device::ActiveCell;
 use super::interface::{AskedBy, QualityStats, ViewRequest};
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
-use crate::cells::{CellLimit, ErrorCurve};
+use crate::cells::ErrorCurve;
 use crate::config::RenderConfig;
 use crate::gpu::TimedPass;
 use crate::march::MarchSettings;
@@ -301,8 +301,8 @@ impl SkyRenderer {
         cell.samples = finest.samples;
     }
 
-    /// Gives cells the limit that keeps the smallest error that somebody asks for, by the measured curve. Where nobody asks
-    /// for an error, and for what a software driver can afford, it is the default.
+    /// Gives those who ask for an error the limit that keeps it, by the measured curve. Where nobody asks, and for what a
+    /// software driver can afford, it is the default.
     fn refresh_limit(&mut self) {
         let qualities = &self.qualities;
         if !qualities.are_chosen {
@@ -317,12 +317,10 @@ impl SkyRenderer {
             QualityChoice::MaxError(flip) => Some(flip),
             QualityChoice::Preset(_) | QualityChoice::BudgetMs(_) => None,
         };
-        let asked = self.viewers.values();
-        let least = asked
-            .filter_map(|viewer| max_error(&viewer.quality))
-            .min_by(f64::total_cmp);
-        let limit = least.map_or_else(CellLimit::default, |flip| qualities.curve.limit(flip));
-        self.cells.set_limit(limit);
+        for (id, viewer) in &self.viewers {
+            let limit = max_error(&viewer.quality).map(|flip| qualities.curve.limit(flip));
+            self.cells.set_limit_of(*id, limit);
+        }
     }
 
     /// Measures what frames cost, lets budgets pick and gives cells their limit, every half a second.

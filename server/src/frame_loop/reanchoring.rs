@@ -145,11 +145,12 @@ impl SkyRenderer {
     }
 
     /// Whether the coarse level of every proxy is there and shows what is seen from about where the reference is now: after a
-    /// jump it shows another place.
+    /// jump it shows another place. A dome that follows takes what it shows along, however old that is.
     fn can_be_resampled(&self, id: CellId) -> bool {
         let is_aright = self.active_cells.get(&id).is_some_and(|cell| {
             (0..self.active.len()).all(|layer| self.is_anchored_aright(cell, layer))
         });
+        let follows = self.kept_on.follows() && self.is_inside_domes(id);
         is_aright
             && (0..self.proxies.len() as u32).all(|proxy| {
                 let sphere_id = SphereId { cell: id, proxy };
@@ -159,7 +160,7 @@ impl SkyRenderer {
                 );
                 match (sphere, reference) {
                     (Some(sphere), Some(reference)) => {
-                        sphere.coarse_is_shown() && !sphere.is_of_elsewhere(reference)
+                        sphere.coarse_is_shown() && (follows || !sphere.is_of_elsewhere(reference))
                     }
                     _ => false,
                 }
