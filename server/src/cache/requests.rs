@@ -86,7 +86,10 @@ impl ProxySphere {
     fn ends_between(&self, along: DVec3, [low_m, high_m]: [f64; 2]) -> Option<[DVec3; 2]> {
         let (frame, from) = (&self.frame, self.reference);
         let ends_m = if self.top_m.is_some() {
-            let [enters_m, leaves_m] = frame.shell_roots_m(from, along, high_m)?;
+            // What is behind is on no ray.
+            let [enters_m, leaves_m] = frame
+                .shell_roots_m(from, along, high_m)
+                .filter(|[enters_m, _]| *enters_m > 0.0)?;
             let base_m = frame.shell_roots_m(from, along, low_m);
             [enters_m, base_m.map_or(leaves_m, |[near_m, _]| near_m)]
         } else {
@@ -520,6 +523,17 @@ mod tests {
         let both = one.intersection(&other).count();
         assert!(10 * both >= 9 * one.len(), "{both} of {}", one.len());
         assert!(keys(0.0, 60.0).is_empty());
+        // Nor for more than what is seen for being beside the reference.
+        let on_surface = ProxySphere {
+            seen_between_m: None,
+            ..sphere
+        };
+        let view = ViewFrustum {
+            position: at(50.0),
+            ..view(0.0, -40.0, 60.0, 640, 360)
+        };
+        let there = requested_tiles(&view, &on_surface, 0.0).len();
+        assert!(4 * other.len() <= 5 * there, "{} {there}", other.len());
     }
 
     #[test]
