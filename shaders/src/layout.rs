@@ -393,10 +393,10 @@ gpu_struct! {
         layer: u32,
         /// Radius of a dome, m.
         radius_m: f32,
-        /// Fills to 16 bytes.
-        pad_y: u32,
-        /// Fills to 16 bytes.
-        pad_z: u32,
+        /// 1: anchor and reference are above the layer, and rays go down to it.
+        from_above: u32,
+        /// From above: rays that pass over the shell have their places no nearer than this, m.
+        least_m: f32,
     }
 }
 

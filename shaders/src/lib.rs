@@ -216,6 +216,8 @@ pub struct Features {
     pub count_reads: bool,
     /// Viewers look for what cached texels show along their own rays (composite).
     pub parallax: bool,
+    /// Some layer is below the viewer (march of texels, which may be below; composite of the cache).
+    pub above: bool,
     /// Rays come from a list instead of a pinhole camera (screen-space renderer).
     pub ray_list: bool,
     /// Rays fill a frame of a temporal window (screen-space renderer).
@@ -259,6 +261,7 @@ impl Default for Features {
             linear_output: false,
             screen_space: false,
             parallax: false,
+            above: false,
             exact_interpolation: false,
             count_reads: false,
             ray_list: false,
@@ -303,6 +306,7 @@ impl Features {
                 count_reads: bits & 2 != 0,
                 screen_space: bits & 4 != 0,
                 parallax: bits & 8 != 0,
+                above: (bits ^ (bits >> 2) ^ count) & 1 != 0,
                 ray_list: bits & 12 == 4,
                 window: bits & 12 == 12,
                 window_frames: bits + 1,
@@ -358,6 +362,7 @@ impl Features {
             ("LINEAR_OUTPUT", self.linear_output),
             ("SCREEN_SPACE", self.screen_space),
             ("PARALLAX", self.parallax && !self.screen_space),
+            ("ABOVE", self.above && !self.screen_space),
             ("EXACT_INTERPOLATION", self.exact_interpolation),
             ("COUNT_READS", self.count_reads),
             ("RAY_LIST", self.ray_list),

@@ -11,9 +11,7 @@ pub use address::{
     octahedral_from_direction, texel_solid_angle_sr,
 };
 pub use pool::{Slot, SlotPool};
-pub use requests::{
-    Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, is_above_horizon, requested_tiles,
-};
+pub use requests::{Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, requested_tiles};
 pub use sphere::{NO_TILE, PageTables, SphereCache, Want};
 
 use glam::{DVec2, DVec3};

@@ -33,6 +33,8 @@ pub struct ProxySphere {
     pub anchor: DVec3,
     /// The surface.
     pub surface: Surface,
+    /// Top of what it keeps, m, where rays go down to it: none that passes over it is asked for.
+    pub top_m: Option<f64>,
     /// Where rays start, in the cell's frame.
     pub reference: DVec3,
     /// Altitudes between which a viewer away from there looks for what a texel shows, m; without, on the sphere alone.
@@ -66,9 +68,45 @@ impl ProxySphere {
                 .distance_m(&self.frame, self.anchor, from, direction)
     }
 
+    /// Whether there may be anything to see in a direction from an eye: from below not under the horizon, from above not over
+    /// the top.
+    #[must_use]
+    pub fn may_show(&self, eye: DVec3, direction: DVec3) -> bool {
+        let visible = Visible::of(self, eye);
+        let edge = -visible.dip_rad.sin();
+        let sine = direction.dot(visible.up);
+        if visible.from_above {
+            sine <= edge
+        } else {
+            sine >= edge
+        }
+    }
+
+    /// Where a ray from the reference enters and leaves what is kept between two altitudes; none where it passes over it.
+    fn ends_between(&self, along: DVec3, [low_m, high_m]: [f64; 2]) -> Option<[DVec3; 2]> {
+        let (frame, from) = (&self.frame, self.reference);
+        let ends_m = if self.top_m.is_some() {
+            // What is behind is on no ray.
+            let [enters_m, leaves_m] = frame
+                .shell_roots_m(from, along, high_m)
+                .filter(|[enters_m, _]| *enters_m > 0.0)?;
+            let base_m = frame.shell_roots_m(from, along, low_m);
+            [enters_m, base_m.map_or(leaves_m, |[near_m, _]| near_m)]
+        } else {
+            [low_m, high_m].map(|altitude_m| frame.distance_to_shell_m(from, along, altitude_m))
+        };
+        let ends_m = ends_m.map(|distance_m| {
+            self.band.map_or(distance_m, |band| {
+                let [near_m, far_m] = band.distances_m;
+                distance_m.clamp(near_m, far_m)
+            })
+        });
+        Some(ends_m.map(|distance_m| from + along * distance_m))
+    }
+
     /// Whether some texel of a tile may hold something: away from the band's directions, nothing is marched.
     fn may_hold(&self, tile: TileKey) -> bool {
-        let Some(band) = self.band else {
+        let Some(band) = self.band.filter(|_| self.top_m.is_none()) else {
             return true;
         };
         // Between the places that are looked at, directions are this far away from one of them at most: tiles are up to twice
@@ -96,20 +134,9 @@ impl ProxySphere {
     /// Where what the texel at a point of the surface shows may be: on its ray.
     fn seen_at(&self, point: DVec3) -> impl Iterator<Item = DVec3> {
         let along = (point - self.reference).normalize_or_zero();
-        let ends = self.seen_between_m.map(|ends_m| {
-            ends_m.map(|altitude_m| {
-                let distance_m = self
-                    .frame
-                    .distance_to_shell_m(self.reference, along, altitude_m);
-                let distance_m = self.band.map_or(distance_m, |band| {
-                    let [near_m, far_m] = band.distances_m;
-                    distance_m.clamp(near_m, far_m)
-                });
-                self.reference + along * distance_m
-            })
-        });
-        let [low, high] = ends.unwrap_or([point; 2]);
-        [low, high].into_iter()
+        let between_m = self.seen_between_m;
+        let ends = between_m.and_then(|between_m| self.ends_between(along, between_m));
+        ends.unwrap_or([point; 2]).into_iter()
     }
 }
 
@@ -167,11 +194,7 @@ fn seen_tile(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> SeenTile {
     }
     let from_anchor = middle - sphere.anchor;
     let from_eye = middle - eye;
-    let normal = match sphere.surface {
-        Surface::Shell { .. } => middle + DVec3::Y * sphere.frame.planet_radius_m(),
-        Surface::Dome { .. } => from_anchor,
-    }
-    .normalize_or_zero();
+    let normal = (sphere.surface).normal(&sphere.frame, sphere.anchor, middle);
     let slant = |v: DVec3| v.normalize_or_zero().dot(normal).abs().max(1e-3);
     let solid_angle_ratio = from_anchor.length_squared() / from_eye.length_squared().max(1.0)
         * slant(from_eye)
@@ -185,13 +208,58 @@ fn seen_tile(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> SeenTile {
     }
 }
 
-/// Whether some of a tile may be in front of all planes and above the horizon.
-fn may_be_seen(tile: &SeenTile, planes: &[DVec3], horizon_dip_rad: f64) -> bool {
+/// In which directions an eye may see anything of a sphere.
+struct Visible {
+    /// From above they are below this angle under the horizontal, from below above it.
+    dip_rad: f64,
+    from_above: bool,
+    /// Straight up at the eye.
+    up: DVec3,
+}
+
+impl Visible {
+    fn of(sphere: &ProxySphere, eye: DVec3) -> Self {
+        let frame = &sphere.frame;
+        let Some(top_m) = sphere.top_m else {
+            return Self {
+                dip_rad: horizon_dip_rad(frame, eye),
+                from_above: false,
+                // The frame's own will do: the ground's edge is wide of it by less than a tile.
+                up: DVec3::Y,
+            };
+        };
+        // Where a ray touches the top.
+        let height_m = (frame.altitude_m(eye) - top_m).max(0.0);
+        let from_centre_m = frame.planet_radius_m() + top_m;
+        let touches_m = (height_m * (2.0 * from_centre_m + height_m)).sqrt();
+        Self {
+            dip_rad: touches_m.atan2(from_centre_m),
+            from_above: true,
+            up: frame.up(eye),
+        }
+    }
+
+    /// Whether it may see something of a tile.
+    fn some_of(&self, tile: &SeenTile) -> bool {
+        let turned = if self.from_above {
+            self.dip_rad - tile.bulge_rad
+        } else {
+            self.dip_rad + tile.bulge_rad
+        };
+        let edge = -turned.min(std::f64::consts::FRAC_PI_2).sin();
+        let sines = tile.directions.iter().map(|d| d.dot(self.up));
+        if self.from_above {
+            sines.fold(f64::INFINITY, f64::min) <= edge
+        } else {
+            sines.fold(f64::NEG_INFINITY, f64::max) >= edge
+        }
+    }
+}
+
+/// Whether some of a tile may be in front of all planes and in a direction in which there is something.
+fn may_be_seen(tile: &SeenTile, planes: &[DVec3], visible: &Visible) -> bool {
     let reach = tile.bulge_rad.min(std::f64::consts::FRAC_PI_2).sin();
-    let lowest = -(horizon_dip_rad + tile.bulge_rad)
-        .min(std::f64::consts::FRAC_PI_2)
-        .sin();
-    tile.directions.iter().any(|d| d.y >= lowest)
+    visible.some_of(tile)
         && planes
             .iter()
             .all(|plane| tile.directions.iter().any(|d| plane.dot(*d) >= -reach))
@@ -201,12 +269,6 @@ fn may_be_seen(tile: &SeenTile, planes: &[DVec3], horizon_dip_rad: f64) -> bool 
 fn horizon_dip_rad(frame: &CellFrame, eye: DVec3) -> f64 {
     let altitude_m = frame.altitude_m(eye).max(0.0);
     (frame.planet_radius_m() / (frame.planet_radius_m() + altitude_m)).acos()
-}
-
-/// Whether a direction from an eye does not point under the horizon.
-#[must_use]
-pub fn is_above_horizon(frame: &CellFrame, eye: DVec3, direction: DVec3) -> bool {
-    direction.y >= -horizon_dip_rad(frame, eye).sin()
 }
 
 /// A tile that a viewer wants, with how far it lies from the middle of the picture.
@@ -228,13 +290,13 @@ pub fn requested_tiles(
     mip_bias: f64,
 ) -> Vec<TileRequest> {
     let planes = view.planes();
-    let dip_rad = horizon_dip_rad(&sphere.frame, view.position);
+    let visible = Visible::of(sphere, view.position);
     let allowed = TEXELS_PER_PIXEL_MAX * mip_bias.exp2();
     let mut requests = Vec::new();
     let mut open: Vec<TileKey> = TileKey::all_of(0).collect();
     while let Some(tile) = open.pop() {
         let seen = seen_tile(sphere, tile, view.position);
-        if !may_be_seen(&seen, &planes, dip_rad) || !sphere.may_hold(tile) {
+        if !may_be_seen(&seen, &planes, &visible) || !sphere.may_hold(tile) {
             continue;
         }
         // A pixel θ off the middle has cos³θ of the solid angle.
@@ -257,11 +319,11 @@ pub fn requested_tiles(
 /// The tiles of the coarsest level that can be seen from a point in any direction.
 #[must_use]
 pub fn coarse_tiles(sphere: &ProxySphere, eye: DVec3) -> Vec<TileRequest> {
-    let dip_rad = horizon_dip_rad(&sphere.frame, eye);
+    let visible = Visible::of(sphere, eye);
     TileKey::all_of(0)
         .filter_map(|key| {
             let seen = seen_tile(sphere, key, eye);
-            (may_be_seen(&seen, &[], dip_rad) && sphere.may_hold(key)).then_some(TileRequest {
+            (may_be_seen(&seen, &[], &visible) && sphere.may_hold(key)).then_some(TileRequest {
                 key,
                 eccentricity_rad: std::f64::consts::FRAC_PI_2 - seen.axis.y.clamp(-1.0, 1.0).asin(),
                 distance_m: seen.distance_m,
@@ -301,9 +363,23 @@ mod tests {
             surface: Surface::Shell {
                 altitude_m: 2_200.0,
             },
+            top_m: None,
             reference: DVec3::ZERO,
             seen_between_m: None,
             band: None,
+        }
+    }
+
+    /// The same about an anchor above it.
+    fn from_above(anchor: DVec3, reference: DVec3) -> ProxySphere {
+        let sphere = sphere();
+        ProxySphere {
+            anchor,
+            reference,
+            surface: Surface::shell(&sphere.frame, anchor, 2_200.0),
+            top_m: Some(4_000.0),
+            seen_between_m: Some([1_500.0, 4_000.0]),
+            ..sphere
         }
     }
 
@@ -378,6 +454,86 @@ mod tests {
                 }
             }
         }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+        /// From above a layer, beside the reference and the anchor: the texel of a pixel that is not over the top has its tile, and so
+        /// has what is seen at each altitude of the layer.
+        #[test]
+        fn whatever_is_seen_from_above_has_its_tile(
+            yaw in 0.0..360.0f64, pitch in -90.0..30.0f64, fov in 5.0..100.0f64, place in 0..6usize,
+            x in -1.0..1.0f64, z in -1.0..1.0f64, rise in 0.7..1.4f64,
+        ) {
+            let altitude_m = [4_000.001, 4_100.0, 6_000.0, 12_000.0, 1e5, 4e5][place];
+            let aside_m = 0.3 * (altitude_m - 2_200.0_f64).min(1e4);
+            let frame = CellFrame::at(DVec3::ZERO, 6.36e6);
+            let eye = frame.from_world(DVec3::new(0.1 * x * aside_m, altitude_m, 0.0));
+            let sphere = from_above(
+                frame.from_world(DVec3::new(x * aside_m, 2_200.0 + rise * (altitude_m - 2_200.0), z * aside_m)),
+                frame.from_world(DVec3::new(0.1 * z * aside_m, altitude_m + 0.1 * x.abs() * aside_m, 0.0)),
+            );
+            let view = ViewFrustum { position: eye, ..view(yaw, pitch, fov, 64, 36) };
+            let tiles: std::collections::HashSet<TileKey> =
+                requested_tiles(&view, &sphere, 1.0).iter().map(|r| r.key).collect();
+            let is_asked_for = |place: DVec3| {
+                let square = octahedral_from_direction((place - sphere.anchor).normalize());
+                (0..LEVELS).any(|level| {
+                    let side = f64::from(TileKey::tiles_per_side(level));
+                    let at = (square * side).floor().min(DVec2::splat(side - 1.0));
+                    tiles.contains(&TileKey { level, x: at.x as u16, y: at.y as u16 })
+                })
+            };
+            for row in (0..36).step_by(3) {
+                for column in (0..64).step_by(3) {
+                    let x = 2.0 * (f64::from(column) + 0.5) / 64.0 - 1.0;
+                    let y = 1.0 - 2.0 * (f64::from(row) + 0.5) / 36.0;
+                    let direction = (view.forward + x * view.right + y * view.up).normalize();
+                    let top = frame.shell_roots_m(eye, direction, 4_000.0);
+                    let Some([near_m, far_m]) = top.filter(|top| top[0] > 0.0) else { continue; };
+                    let end_m = frame.shell_roots_m(eye, direction, 1_500.0).map_or(far_m, |base| base[0]);
+                    for share in [0.0, 0.3, 0.7, 1.0] {
+                        let seen = eye + direction * (near_m + share * (end_m - near_m));
+                        let along = (seen - sphere.reference).normalize();
+                        let place = sphere.point_along(sphere.reference, along);
+                        prop_assert!(is_asked_for(place), "pixel {column} {row}, {share} of the way");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn two_who_look_down_at_the_same_clouds_ask_for_the_same_tiles_and_nobody_for_what_is_over_them()
+     {
+        let frame = CellFrame::at(DVec3::ZERO, 6.36e6);
+        let at = |x: f64| frame.from_world(DVec3::new(x, 9_000.0, 0.0));
+        let sphere = from_above(at(0.0), at(0.0));
+        let keys = |x: f64, pitch: f64| -> std::collections::HashSet<TileKey> {
+            let view = ViewFrustum {
+                position: at(x),
+                ..view(0.0, pitch, 60.0, 640, 360)
+            };
+            requested_tiles(&view, &sphere, 0.0)
+                .iter()
+                .map(|r| r.key)
+                .collect()
+        };
+        let (one, other) = (keys(0.0, -40.0), keys(50.0, -40.0));
+        let both = one.intersection(&other).count();
+        assert!(10 * both >= 9 * one.len(), "{both} of {}", one.len());
+        assert!(keys(0.0, 60.0).is_empty());
+        // Nor for more than what is seen for being beside the reference.
+        let on_surface = ProxySphere {
+            seen_between_m: None,
+            ..sphere
+        };
+        let view = ViewFrustum {
+            position: at(50.0),
+            ..view(0.0, -40.0, 60.0, 640, 360)
+        };
+        let there = requested_tiles(&view, &on_surface, 0.0).len();
+        assert!(4 * other.len() <= 5 * there, "{} {there}", other.len());
     }
 
     #[test]

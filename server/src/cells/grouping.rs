@@ -95,6 +95,7 @@ impl Cells {
             let current = self.cells.get(&place.cell).filter(|cell| cell.placed);
             let is_held = current.is_some_and(|cell| {
                 cell.reference_m.distance(place.position_m) <= cell.radius_m * PLACED_HYSTERESIS
+                    && self.limit.share_storey(cell.reference_m, place.position_m)
             });
             if is_held {
                 continue;

@@ -1,5 +1,6 @@
 //! How wide a cell may be.
 
+use crate::march::Side;
 use glam::DVec3;
 
 /// Sideways, where the error of a shared reference becomes just noticeable, m (Weinrauch et al. 2023, user study).
@@ -7,12 +8,50 @@ const RADIUS_M: f64 = 3_000.0;
 /// The same upwards, m.
 const RADIUS_UP_M: f64 = 1_100.0;
 
+/// Bounds of storeys: twice as many as a scene has layers.
+const STOREYS_MAX: usize = 8;
+
+/// Storeys of the sky: below, in, between and above layers. Nobody shares what is seen from another storey.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Storeys {
+    /// Base and top of each layer, m; an infinite base is no layer.
+    layers_m: [[f64; 2]; STOREYS_MAX / 2],
+}
+
+impl Default for Storeys {
+    fn default() -> Self {
+        Self::of(&[])
+    }
+}
+
+impl Storeys {
+    /// Those of layers between altitudes, base and top, m; of four layers at most.
+    #[must_use]
+    pub fn of(layers_m: &[[f64; 2]]) -> Self {
+        let mut storeys = Self {
+            layers_m: [[f64::INFINITY; 2]; STOREYS_MAX / 2],
+        };
+        for (place, layer_m) in storeys.layers_m.iter_mut().zip(layers_m) {
+            *place = *layer_m;
+        }
+        storeys
+    }
+
+    /// Whether two altitudes are in one storey.
+    fn share(&self, a_m: f64, b_m: f64) -> bool {
+        self.layers_m
+            .iter()
+            .all(|between_m| Side::of(*between_m, a_m) == Side::of(*between_m, b_m))
+    }
+}
+
 /// How far viewers may be from the reference of a cell that forms. A step upwards shows another side of a cloud sooner than one
 /// sideways, so it counts for more.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellLimit {
     radius_m: f64,
     up_weight: f64,
+    storeys: Storeys,
 }
 
 impl Default for CellLimit {
@@ -30,7 +69,26 @@ impl CellLimit {
         Self {
             radius_m,
             up_weight: radius_m / radius_up_m.max(1.0),
+            storeys: Storeys::default(),
         }
+    }
+
+    /// The same with other storeys.
+    #[must_use]
+    pub fn with_storeys(self, storeys: Storeys) -> Self {
+        Self { storeys, ..self }
+    }
+
+    /// Where layers are.
+    #[must_use]
+    pub fn storeys(self) -> Storeys {
+        self.storeys
+    }
+
+    /// Whether two places are on the same side of each layer.
+    #[must_use]
+    pub fn share_storey(self, a_m: DVec3, b_m: DVec3) -> bool {
+        self.storeys.share(a_m.y, b_m.y)
     }
 
     /// What keeps to both limits.
@@ -41,6 +99,7 @@ impl CellLimit {
             self.radius_m.min(other.radius_m),
             radius_up_m(self).min(radius_up_m(other)),
         )
+        .with_storeys(self.storeys)
     }
 
     /// Farthest from the reference sideways, m.
@@ -49,9 +108,13 @@ impl CellLimit {
         self.radius_m
     }
 
-    /// How far apart two places are, as the error of a shared reference goes, m sideways.
+    /// How far apart two places are, as the error of a shared reference goes, m sideways; infinitely where they are not on the
+    /// same side of each layer.
     #[must_use]
     pub fn distance_m(self, a_m: DVec3, b_m: DVec3) -> f64 {
+        if !self.share_storey(a_m, b_m) {
+            return f64::INFINITY;
+        }
         let away = a_m - b_m;
         DVec3::new(away.x, away.y * self.up_weight, away.z).length()
     }

@@ -10,7 +10,7 @@ mod limit;
 
 pub use crowd::{Crowd, CrowdMotion};
 pub use error_curve::{ErrorAt, ErrorCurve, ErrorCurveError, ErrorCurveFile};
-pub use limit::CellLimit;
+pub use limit::{CellLimit, Storeys};
 
 use crate::config::PlacedCell;
 use glam::DVec3;
@@ -121,8 +121,21 @@ impl Cells {
 
     /// Gives cells that form another limit, which the next grouping keeps.
     pub fn set_limit(&mut self, limit: CellLimit) {
+        let limit = limit.with_storeys(self.limit.storeys());
         if limit != self.limit {
             self.limit = limit;
+            self.restless = true;
+            let ids: Vec<CellId> = self.cells.keys().copied().collect();
+            for id in ids {
+                self.keep_to_limits(id);
+            }
+        }
+    }
+
+    /// Tells where layers are. Nobody on one side of a layer stays in a cell on another.
+    pub fn set_storeys(&mut self, storeys: Storeys) {
+        if storeys != self.limit.storeys() {
+            self.limit = self.limit.with_storeys(storeys);
             self.restless = true;
             let ids: Vec<CellId> = self.cells.keys().copied().collect();
             for id in ids {
@@ -147,7 +160,8 @@ impl Cells {
 
     /// How far a viewer may be from its reference.
     fn limit_of(&self, place: &Place) -> CellLimit {
-        place.limit.unwrap_or(self.limit)
+        let limit = place.limit.unwrap_or(self.limit);
+        limit.with_storeys(self.limit.storeys())
     }
 
     /// A formed cell is as narrow as its members ask for.
@@ -253,6 +267,7 @@ impl Cells {
         self.cells
             .iter()
             .filter(|(_, cell)| cell.placed)
+            .filter(|(_, cell)| self.limit.share_storey(cell.reference_m, position_m))
             .map(|(id, cell)| (cell.reference_m.distance(position_m) / cell.radius_m, *id))
             .filter(|(share, _)| *share <= 1.0)
             .min_by(|a, b| a.0.total_cmp(&b.0))

@@ -335,3 +335,36 @@ fn the_same_crowd_has_the_same_cells() {
         assert_eq!(one.changes, other.changes);
     }
 }
+
+#[test]
+fn nobody_shares_what_is_seen_from_the_other_side_of_a_layer() {
+    let mut cells = plaza();
+    cells.set_storeys(Storeys::of(&[[1_500.0, 2_000.0]]));
+    let places = [10_000.0, 10_010.0, 10_020.0, 10_030.0];
+    let altitudes_m = [2.0, 1_400.0, 1_700.0, 2_100.0];
+    for (id, (x, y)) in ids(4).zip(places.into_iter().zip(altitudes_m)) {
+        cells.place(id, DVec3::new(x, y, 0.0));
+    }
+    for _ in 0..300 {
+        cells.regroup(TICK_S);
+    }
+    check(&cells, "a layer between them");
+    let cell = |id: u32| cells.cell_of(ViewerId(id)).expect("a cell");
+    assert!(cells.get(cell(1)).expect("there").placed);
+    assert_ne!(cell(3), cell(4));
+    assert_ne!(cell(2), cell(3));
+    // Whoever climbs through the layer alone takes the reference along at once.
+    let alone = cell(3);
+    cells.place(ViewerId(3), DVec3::new(10_020.0, 2_050.0, 0.0));
+    cells.regroup(TICK_S);
+    let now = cells.cell_of(ViewerId(3)).expect("a cell");
+    let reference_m = cells.get(now).expect("there").reference_m;
+    assert!(reference_m.y > 2_000.0, "{now:?} {alone:?} {reference_m}");
+    // A layer that comes between them parts them.
+    cells.set_storeys(Storeys::of(&[[700.0, 900.0]]));
+    cells.place(ViewerId(2), DVec3::new(10_010.0, 500.0, 0.0));
+    for _ in 0..300 {
+        cells.regroup(TICK_S);
+    }
+    check(&cells, "another layer");
+}

@@ -40,6 +40,18 @@ pub fn with_parallax(key: PipelineKey) -> PipelineKey {
     }
 }
 
+/// A composite for a viewer above some layer.
+#[must_use]
+pub fn with_above(key: PipelineKey) -> PipelineKey {
+    PipelineKey {
+        features: Features {
+            above: true,
+            ..key.features
+        },
+        ..key
+    }
+}
+
 /// What a composite is specialised to.
 #[must_use]
 pub fn composite_key(
@@ -137,6 +149,7 @@ pub fn ground_key(key: PipelineKey) -> PipelineKey {
             overlap: false,
             catmull_rom: false,
             parallax: false,
+            above: false,
             moon: false,
             stars: false,
             ..key.features

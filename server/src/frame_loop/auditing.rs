@@ -2,9 +2,7 @@
 
 use super::renderer::SkyRenderer;
 use crate::audit::{AuditStats, AuditWindow, ShownLight, Texel};
-use crate::cache::{
-    GUTTER, ProxySphere, SphereId, TILE_INTERIOR, TileKey, TileUpdate, is_above_horizon,
-};
+use crate::cache::{GUTTER, ProxySphere, SphereId, TILE_INTERIOR, TileKey, TileUpdate};
 use crate::gpu::{Gpu, Pipelines};
 use crate::march::{AUDIT_PLACES, AUDIT_TEXELS_MAX, AuditGroup, AuditMarch, finer, layer_features};
 use glam::{DVec2, DVec3};
@@ -109,7 +107,7 @@ impl SkyRenderer {
                 let within = DVec2::from_array(texel.map(f64::from)) + 0.5;
                 let direction = key.direction(within / f64::from(TILE_INTERIOR));
                 let seen = (proxy.point(direction) - eye).normalize_or_zero();
-                is_above_horizon(&proxy.frame, eye, seen).then(|| AuditWork {
+                proxy.may_show(eye, seen).then(|| AuditWork {
                     tile: [u32::from(key.x), u32::from(key.y)],
                     texel: texel.map(|t| GUTTER + t),
                     texels_per_side: TileKey::texels_per_side(key.level) as f32,

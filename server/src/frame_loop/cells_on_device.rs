@@ -6,7 +6,7 @@ use super::viewers_on_device::ActiveViewer;
 use crate::cache::{Band, ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
 use crate::composite::view_frustum;
 use crate::march::{
-    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, scene_uniform,
+    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, Side, scene_uniform,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, Scene, ViewerId};
@@ -87,7 +87,9 @@ impl ActiveCell {
     }
 
     /// Moves where rays start: at once, or where it is late by and by.
-    fn follow(&mut self, reference_m: DVec3, passed_s: f64) {
+    fn follow(&mut self, reference_m: DVec3, passed_s: f64, is_through_layer: bool) {
+        // What was seen from the other side of a layer is of no use here.
+        self.is_late &= !is_through_layer;
         self.is_late &= self.reference_m.distance(reference_m) > ARRIVED_M;
         if self.is_late {
             let share = 1.0 - (-passed_s / FOLLOW_TIME_S).exp();
@@ -215,6 +217,7 @@ impl SkyRenderer {
     /// Says where a viewer's camera is; returns its cell, which is on the device from now on.
     pub(super) fn place(&mut self, viewer: ViewerId, camera: &Camera) -> CellId {
         let position_m = DVec3::from_array(camera.position_m());
+        self.tell_storeys();
         let id = self.cells.place(viewer, position_m);
         if !self.active_cells.contains_key(&id)
             && let Some(cell) = self.cells.get(id)
@@ -227,6 +230,7 @@ impl SkyRenderer {
 
     /// Brings cells to where their viewers are; returns those who are in another cell than before.
     pub(super) fn regroup(&mut self, passed_s: f64) -> Vec<ViewerId> {
+        self.tell_storeys();
         let changes = self.cells.regroup(passed_s);
         for change in &changes {
             self.follow_cell(change.viewer);
@@ -239,6 +243,7 @@ impl SkyRenderer {
             .filter(|(_, cell)| !cell.members.is_empty())
             .map(|(id, cell)| (id, cell.reference_m))
             .collect();
+        let limit = self.cells.limit();
         for (id, reference_m) in references {
             if self.holds_reference(id, reference_m) {
                 if let Some(cell) = self.active_cells.get_mut(&id) {
@@ -250,7 +255,8 @@ impl SkyRenderer {
             match self.active_cells.get_mut(&id) {
                 Some(_) if stays => {}
                 Some(cell) if cell.reference_m != reference_m => {
-                    cell.follow(reference_m, passed_s);
+                    let is_through_layer = !limit.share_storey(cell.reference_m, reference_m);
+                    cell.follow(reference_m, passed_s, is_through_layer);
                     cell.coarse.clear();
                     cell.requests_changed = true;
                 }
@@ -306,6 +312,9 @@ impl SkyRenderer {
             frame: cell.frame,
             anchor,
             surface: proxy.surface(&cell.frame, anchor),
+            top_m: proxy
+                .is_from_above(&cell.frame, anchor)
+                .then_some(proxy.between_m[1]),
             reference: cell.frame.from_world(cell.reference_m),
             seen_between_m: None,
             band: distances_m.map(|distances_m| Band {
@@ -372,7 +381,9 @@ impl SkyRenderer {
             let rise_max_m = ANCHOR_RISE_MAX * height_m.abs().max(SPHERE_HEIGHT_MIN_M);
             let [aside_max_m, rise_max_m] =
                 self.anchors_may_be_off(cell, [ANCHOR_DRIFT_MAX_M, rise_max_m]);
-            off.with_y(0.0).length() > aside_max_m || (is_read && off.y.abs() > rise_max_m)
+            off.with_y(0.0).length() > aside_max_m
+                || (is_read && off.y.abs() > rise_max_m)
+                || (is_read && !self.is_anchored_aright(cell, place))
         })
     }
 
@@ -406,10 +417,26 @@ impl SkyRenderer {
                 .iter()
                 .map(|proxy| self.sphere_of(cell, proxy))
                 .collect();
+            // Nothing is kept of a layer in which rays start.
+            let sides = self.sides_at(cell.reference_m.y);
+            let holds: Vec<bool> = self
+                .proxies
+                .iter()
+                .map(|proxy| sides.get(proxy.layer) != Some(&Side::Within))
+                .collect();
             // By drift, or because the reference has moved.
             let moved = drifted || cell.coarse.len() != spheres.len();
             if moved {
-                cell.coarse = spheres.iter().map(|s| coarse_tiles(s, eye)).collect();
+                let coarse = spheres.iter().zip(&holds);
+                cell.coarse = coarse
+                    .map(|(sphere, holds)| {
+                        if *holds {
+                            coarse_tiles(sphere, eye)
+                        } else {
+                            Vec::new()
+                        }
+                    })
+                    .collect();
             }
             let mut read: Vec<&[Vec<TileRequest>]> = Vec::new();
             for viewer in self.viewers.values_mut() {
@@ -429,7 +456,11 @@ impl SkyRenderer {
                     *requests = spheres
                         .iter()
                         .zip(&self.proxies)
-                        .map(|(sphere, proxy)| {
+                        .zip(&holds)
+                        .map(|((sphere, proxy), holds)| {
+                            if !holds {
+                                return Vec::new();
+                            }
                             let sphere = ProxySphere {
                                 seen_between_m: (steps > 0).then_some(proxy.between_m),
                                 ..*sphere

@@ -14,7 +14,7 @@ impl SkyRenderer {
     fn reach_m(&self, cell: &ActiveCell, proxy: &Proxy) -> Option<f64> {
         match self.sphere_of(cell, proxy).surface {
             Surface::Dome { radius_m } => Some(DOME_LEFT_SHARE * radius_m),
-            Surface::Shell { .. } => None,
+            Surface::Shell { .. } | Surface::ShellFromAbove { .. } => None,
         }
     }
 
@@ -44,6 +44,7 @@ impl SkyRenderer {
             && self.active_cells.get(&id).is_some_and(|cell| {
                 let reach_m = self.least_reach_m(cell).unwrap_or(0.0);
                 cell.reference_m.distance(reference_m) <= reach_m
+                    && (self.cells.limit()).share_storey(cell.reference_m, reference_m)
             })
     }
 

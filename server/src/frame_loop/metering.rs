@@ -7,11 +7,11 @@
 use super::cells_on_device::ActiveCell;
 use super::renderer::SkyRenderer;
 use crate::composite::{
-    CompositeInputs, Picture, composite_key, ground_key, view_frustum, view_uniform,
+    CompositeInputs, Picture, composite_key, ground_key, view_frustum, view_uniform, with_above,
 };
 use crate::config::FrameFilter;
 use crate::gpu::{Gpu, GpuError, PipelineKey, Pipelines, ReadbackRing};
-use crate::march::EXPOSURE_AT_ZERO_EV;
+use crate::march::{EXPOSURE_AT_ZERO_EV, Side};
 use skycell_protocol::scene::AutoExposure;
 use skycell_protocol::{Camera, CellId, FrameSize, RendererKind};
 use std::sync::Arc;
@@ -145,19 +145,38 @@ fn mean_log2(texels: &[f32]) -> f64 {
 }
 
 impl SkyRenderer {
-    /// The composite that meters: linear, of the cache.
-    fn meter_key(&self) -> PipelineKey {
+    /// The composite that meters: linear, of the cache, above some layer or not.
+    fn meter_key(&self, above: bool) -> PipelineKey {
         let blend = self.blend();
-        composite_key(&self.scene, FrameFilter::Bilinear, blend, false, true)
+        let key = composite_key(&self.scene, FrameFilter::Bilinear, blend, false, true);
+        if above { with_above(key) } else { key }
+    }
+
+    /// Whether a cell can be metered; what it takes above layers is made when a cell is first there.
+    fn can_be_metered(&mut self, cell: &ActiveCell) -> bool {
+        let key = self.meter_key(self.looks_down(cell.reference_m.y));
+        let is_there = self.pipelines.get(key).is_some();
+        if !is_there {
+            let keys = vec![key, ground_key(key)];
+            self.pipelines.prepare_later(&self.gpu, keys);
+        }
+        is_there
     }
 
     /// Makes what metering needs, where the scene asks for it.
     pub(super) fn prepare_meters(&mut self) -> Result<(), GpuError> {
         let wanted = self.scene.tone().auto_exposure().is_some();
         if wanted {
-            let key = self.meter_key();
-            self.pipelines.prepare(&self.gpu, key)?;
-            self.pipelines.prepare(&self.gpu, ground_key(key))?;
+            let some_above =
+                (self.active_cells.values()).any(|cell| self.looks_down(cell.reference_m.y));
+            for above in [Some(false), some_above.then_some(true)]
+                .into_iter()
+                .flatten()
+            {
+                let key = self.meter_key(above);
+                self.pipelines.prepare(&self.gpu, key)?;
+                self.pipelines.prepare(&self.gpu, ground_key(key))?;
+            }
         }
         for cell in self.active_cells.values_mut() {
             match &mut cell.meter {
@@ -206,7 +225,8 @@ impl SkyRenderer {
                 let is_time = meter
                     .metered
                     .is_none_or(|last| now.duration_since(last) >= INTERVAL);
-                if reads_cache && is_time && (meter.due || windy) {
+                let is_wanted = reads_cache && is_time && (meter.due || windy);
+                if is_wanted && self.can_be_metered(&cell) {
                     self.meter(id, &mut cell, &mut meter);
                     meter.metered = Some(now);
                     meter.due = false;
@@ -222,7 +242,11 @@ impl SkyRenderer {
     fn meter(&mut self, id: CellId, cell: &mut ActiveCell, meter: &mut Meter) {
         let shafts = self.shaft_reader(id);
         let [x, y, z] = cell.reference_m.to_array();
-        let Ok(camera) = Camera::new([x, y, z], 0.0, 90.0, FOV_DEG) else {
+        // What is seen from above all clouds is below.
+        let sides = self.sides_at(y);
+        let is_above_all = !sides.is_empty() && sides.iter().all(|side| *side == Side::Above);
+        let pitch_deg = if is_above_all { -90.0 } else { 90.0 };
+        let Ok(camera) = Camera::new([x, y, z], 0.0, pitch_deg, FOV_DEG) else {
             return;
         };
         let Some(buffer) = meter.ring.take(&self.gpu) else {
@@ -245,7 +269,7 @@ impl SkyRenderer {
             .create_command_encoder(&wgpu::CommandEncoderDescriptor {
                 label: Some("meter"),
             });
-        let key = self.meter_key();
+        let key = self.meter_key(sides.contains(&Side::Above));
         let air = self.air_views.group(
             &self.gpu,
             &self.pipelines,

@@ -16,6 +16,7 @@ mod qualities;
 mod reanchoring;
 mod renderer;
 mod screen_space;
+mod sides;
 mod sky_steps;
 mod sky_time;
 mod stats;

@@ -51,6 +51,9 @@ impl Readdressed {
     fn before(&self, point: DVec3) -> DVec3 {
         match self.new.surface {
             Surface::Shell { altitude_m } => self.in_old_frame(point, altitude_m),
+            Surface::ShellFromAbove { .. } => {
+                self.in_old_frame(point, self.new.frame.altitude_m(point))
+            }
             Surface::Dome { .. } => {
                 let [point, eye] = [point, self.new.reference]
                     .map(|p| self.in_old_frame(p, self.new.frame.altitude_m(p)));
@@ -144,20 +147,24 @@ impl SkyRenderer {
     /// Whether the coarse level of every proxy is there and shows what is seen from about where the reference is now: after a
     /// jump it shows another place. A dome that follows takes what it shows along, however old that is.
     fn can_be_resampled(&self, id: CellId) -> bool {
+        let is_aright = self.active_cells.get(&id).is_some_and(|cell| {
+            (0..self.active.len()).all(|layer| self.is_anchored_aright(cell, layer))
+        });
         let follows = self.kept_on.follows() && self.is_inside_domes(id);
-        (0..self.proxies.len() as u32).all(|proxy| {
-            let sphere_id = SphereId { cell: id, proxy };
-            let (sphere, reference) = (
-                self.caches.sphere(sphere_id),
-                self.drifting_reference(sphere_id),
-            );
-            match (sphere, reference) {
-                (Some(sphere), Some(reference)) => {
-                    sphere.coarse_is_shown() && (follows || !sphere.is_of_elsewhere(reference))
+        is_aright
+            && (0..self.proxies.len() as u32).all(|proxy| {
+                let sphere_id = SphereId { cell: id, proxy };
+                let (sphere, reference) = (
+                    self.caches.sphere(sphere_id),
+                    self.drifting_reference(sphere_id),
+                );
+                match (sphere, reference) {
+                    (Some(sphere), Some(reference)) => {
+                        sphere.coarse_is_shown() && (follows || !sphere.is_of_elsewhere(reference))
+                    }
+                    _ => false,
                 }
-                _ => false,
-            }
-        })
+            })
     }
 
     /// Submits the filling of one proxy's tiles.

@@ -319,6 +319,9 @@ impl SkyRenderer {
                 }
             }
         }
+        if self.somebody_looks_down() {
+            keys.extend(self.above_keys(scene));
+        }
         if scene.physical_air().is_some() {
             keys.extend(table_keys());
         }

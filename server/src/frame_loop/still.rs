@@ -281,7 +281,7 @@ impl StillRenderer {
         Start::of(self, settings).map(|_| ())
     }
 
-    /// Makes the only viewer anew; true when it gets rays of its own: a camera in or above the clouds always does.
+    /// Makes the only viewer anew; true when it gets rays of its own: a camera in a layer always does.
     pub(super) fn join(
         &mut self,
         camera: Camera,
@@ -315,10 +315,13 @@ impl StillRenderer {
                 show: settings.show,
             },
         );
-        renderer
-            .viewers
-            .get(&VIEWER)
-            .is_some_and(|viewer| viewer.kind == RendererKind::ScreenSpace)
+        renderer.viewers.get_mut(&VIEWER).is_some_and(|viewer| {
+            // Its pipelines are made before the picture, wherever it looks from.
+            if viewer.approaches.take().is_some() {
+                viewer.kind = RendererKind::Cached;
+            }
+            viewer.kind == RendererKind::ScreenSpace
+        })
     }
 
     fn composite_keys(&self, screen_space: bool, settings: &StillSettings) -> [PipelineKey; 2] {

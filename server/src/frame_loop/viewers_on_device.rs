@@ -16,10 +16,6 @@ use std::time::{Duration, Instant};
 /// Pictures of a viewer that may be on their way back from the device or wait to be encoded.
 const READBACKS_PER_VIEWER: usize = 3;
 
-/// From rays back to the cache, a camera goes this far below the lowest cloud, m.
-const RETURN_MARGIN_M: f64 = 50.0;
-/// And no further than this share of the base's altitude: fog lies low.
-const RETURN_SHARE: f64 = 0.1;
 /// A viewer reads a cache that is still coarse after this time.
 const APPROACH_MAX: Duration = Duration::from_secs(3);
 
@@ -68,7 +64,7 @@ impl ActiveViewer {
             )
         } else {
             Some(
-                "the camera is not below all clouds, where the cache holds; rays of its own make its frames",
+                "the camera is in a layer of clouds, where the cache does not hold; rays of its own make its frames",
             )
         }
     }
@@ -83,9 +79,16 @@ impl SkyRenderer {
     pub(super) fn join(&mut self, id: ViewerId, view: ViewRequest) {
         let cell = self.place(id, &view.camera);
         let bytes = u64::from(view.size.pixels()) * 4;
+        let kind = self.kind_of(&view, None);
+        let waits = kind == RendererKind::Cached && !self.can_be_shown(&view);
+        self.prepare_above(&view);
         let viewer = ActiveViewer {
-            kind: self.kind_of(&view, None),
-            approaches: None,
+            kind: if waits {
+                RendererKind::ScreenSpace
+            } else {
+                kind
+            },
+            approaches: waits.then(Instant::now),
             quality: self.quality_of(&view, None),
             shown_camera: view.camera,
             view,
@@ -105,31 +108,14 @@ impl SkyRenderer {
         self.change_requests(cell);
     }
 
-    /// The renderer for a view. Proxy spheres are marched and blended from below: a viewer in, between or above layers gets
-    /// rays of its own. `before`: the one that made its frames so far; from rays back to the cache it goes a little lower
-    /// than the other way, so that a camera on the boundary does not change between them all the time.
-    pub(super) fn kind_of(&self, view: &ViewRequest, before: Option<RendererKind>) -> RendererKind {
-        let altitude_m = view.camera.position_m()[1];
-        let lowest_base_m = self
-            .active
-            .iter()
-            .map(|layer| self.scene.layers()[layer.scene_index].base_altitude_m())
-            .fold(f64::INFINITY, f64::min);
-        let margin_m = if before == Some(RendererKind::ScreenSpace) {
-            (RETURN_SHARE * lowest_base_m).min(RETURN_MARGIN_M)
-        } else {
-            0.0
-        };
-        if altitude_m < lowest_base_m - margin_m {
-            view.renderer
-        } else {
-            RendererKind::ScreenSpace
-        }
-    }
-
     pub(super) fn choose_renderer(&mut self, id: ViewerId, view: &ViewRequest) {
         let before = self.viewers.get(&id).map(|viewer| viewer.kind);
         let kind = self.kind_of(view, before);
+        self.prepare_above(view);
+        let cell = self.viewers.get(&id).map(|viewer| viewer.cell);
+        let altitude_m = view.camera.position_m()[1];
+        let is_shown =
+            cell.is_some_and(|cell| self.is_reached(cell, altitude_m)) && self.can_be_shown(view);
         let Some(viewer) = self.viewers.get_mut(&id) else {
             return;
         };
@@ -143,6 +129,13 @@ impl SkyRenderer {
                 viewer.screen_space = None;
                 viewer.forget_requests();
                 viewer.approaches = None;
+            }
+            (RendererKind::Cached, RendererKind::Cached) if !is_shown => {
+                // It has come through a layer in one step.
+                viewer.kind = RendererKind::ScreenSpace;
+                viewer.screen_space = None;
+                viewer.forget_requests();
+                viewer.approaches = Some(Instant::now());
             }
             _ => viewer.approaches = None,
         }
@@ -158,6 +151,8 @@ impl SkyRenderer {
                     let has_requests = viewer.requests.len() == self.proxies.len();
                     let is_late = now.duration_since(since) > APPROACH_MAX;
                     has_requests
+                        && self.is_reached(viewer.cell, viewer.view.camera.position_m()[1])
+                        && self.can_be_shown(&viewer.view)
                         && self.coarse_is_ready(viewer.cell)
                         && (is_late || !self.is_coarse(viewer.cell, &viewer.requests))
                 })

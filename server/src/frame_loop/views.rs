@@ -6,7 +6,7 @@ use super::renderer::{SkyRenderer, frame_key};
 use super::viewers_on_device::ActiveViewer;
 use crate::composite::{
     CompositeInputs, InspectionInputs, Inspections, Picture, ground_key, inspect_key, shown_key,
-    shown_of, with_parallax,
+    shown_of, with_above, with_parallax,
 };
 use crate::gpu::PipelineKey;
 use crate::march::layer_features;
@@ -62,6 +62,9 @@ impl SkyRenderer {
         if viewer.view.renderer == RendererKind::Cached {
             let cached = self.composite_by(viewer, RendererKind::Cached);
             composites.extend([cached, with_parallax(cached)]);
+            if self.looks_down(viewer.view.camera.position_m()[1]) {
+                composites.extend([cached, with_parallax(cached)].map(with_above));
+            }
         }
         if !shown.is_of_cache() {
             composites.push(self.composite_by(viewer, RendererKind::ScreenSpace));
@@ -79,13 +82,18 @@ impl SkyRenderer {
         cell: CellId,
         composite: PipelineKey,
     ) -> PipelineKey {
+        let cell = self.active_cells.get(&cell);
+        let Some(cell) = cell.filter(|_| viewer.kind == RendererKind::Cached) else {
+            return composite;
+        };
         let domes = self.kept_on.has_domes();
-        let searches = viewer.kind == RendererKind::Cached
-            && self.active_cells.get(&cell).is_some_and(|cell| {
-                parallax_steps(&self.scene, &self.active, domes, viewer, cell) > 0
-            });
-        if searches {
+        let composite = if parallax_steps(&self.scene, &self.active, domes, viewer, cell) > 0 {
             with_parallax(composite)
+        } else {
+            composite
+        };
+        if self.looks_down(viewer.view.camera.position_m()[1]) {
+            with_above(composite)
         } else {
             composite
         }

@@ -33,6 +33,7 @@ pub fn audit_key(layer: Features) -> PipelineKey {
             catmull_rom: false,
             linear_output: false,
             screen_space: false,
+            above: true,
             count_reads: false,
             ..layer
         },

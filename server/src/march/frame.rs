@@ -59,6 +59,38 @@ impl CellFrame {
         (position.length_squared() + 2.0 * r * position.y) / (from_centre.length() + r)
     }
 
+    /// Distances from a point along a unit direction to where its line meets the shell at an altitude, the smaller first; none
+    /// where it passes over it.
+    #[must_use]
+    pub fn shell_roots_m(
+        &self,
+        from: DVec3,
+        direction: DVec3,
+        altitude_m: f64,
+    ) -> Option<[f64; 2]> {
+        let r = self.planet_radius_m;
+        let h = self.altitude_m(from);
+        let b = direction.dot(from) + r * direction.y;
+        let c = (h - altitude_m) * (h + altitude_m + 2.0 * r);
+        let discriminant = b * b - c;
+        if discriminant < 0.0 {
+            return None;
+        }
+        let q = if b < 0.0 {
+            discriminant.sqrt() - b
+        } else {
+            -(b + discriminant.sqrt())
+        };
+        let other = if q == 0.0 { 0.0 } else { c / q };
+        Some([q.min(other), q.max(other)])
+    }
+
+    /// Unit vector straight up at a point.
+    #[must_use]
+    pub fn up(&self, at: DVec3) -> DVec3 {
+        (at + DVec3::Y * self.planet_radius_m).normalize_or(DVec3::Y)
+    }
+
     /// Distance from a point along a unit direction to the far side of the shell at an altitude; the point lies inside.
     #[must_use]
     pub fn distance_to_shell_m(&self, from: DVec3, direction: DVec3, altitude_m: f64) -> f64 {

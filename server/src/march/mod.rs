@@ -11,6 +11,7 @@ mod pixels;
 mod proxies;
 mod resample;
 mod settings;
+mod sides;
 mod sky;
 mod sun_columns;
 mod texels;
@@ -31,6 +32,7 @@ pub use proxies::{
 };
 pub use resample::{ResampleGroup, ResampledTile, record_resample, resample_key};
 pub use settings::MarchSettings;
+pub use sides::{Side, layer_bounds_m};
 pub use sky::{SkyLight, sky_light, sun_angular_radius_rad};
 pub use sun_columns::{SunBinding, SunVolumeTexture, sun_columns_key, without_own};
 pub use texels::{BATCH_TILES_MAX, TexelGroup, TexelMarch, texels_key};

@@ -168,6 +168,12 @@ impl ProxySettings {
     }
 }
 
+/// From above, rays from an anchor that pass over its shell have their places no nearer than this share of the way to where a
+/// ray touches the shell.
+const LEAST_SHARE: f64 = 0.25;
+/// A point that is so far over a shell is not on it, m.
+const BEYOND_MIN_M: f64 = 0.1;
+
 /// Where texels lie.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Surface {
@@ -175,6 +181,14 @@ pub enum Surface {
     Shell {
         /// Its altitude, m.
         altitude_m: f64,
+    },
+    /// On such a sphere as it is seen from an anchor above it, and where rays from the anchor pass over it, where they come
+    /// closest to it (`geometry/surface.wgsl`).
+    ShellFromAbove {
+        /// Its altitude, m.
+        altitude_m: f64,
+        /// Beyond its rim no place is nearer than this, m.
+        least_m: f64,
     },
     /// On a sphere about their anchor.
     Dome {
@@ -184,7 +198,37 @@ pub enum Surface {
 }
 
 impl Surface {
-    /// How far along a unit direction it is from a point inside it, m.
+    /// A shell at an altitude about an anchor: seen from above where the anchor is higher.
+    #[must_use]
+    pub fn shell(frame: &CellFrame, anchor: DVec3, altitude_m: f64) -> Self {
+        let height_m = frame.altitude_m(anchor) - altitude_m;
+        if height_m > 0.0 {
+            let from_centre_m = 2.0 * (frame.planet_radius_m() + altitude_m) + height_m;
+            Self::ShellFromAbove {
+                altitude_m,
+                least_m: LEAST_SHARE * (height_m * from_centre_m).sqrt(),
+            }
+        } else {
+            Self::Shell { altitude_m }
+        }
+    }
+
+    /// Its normal at one of its points.
+    #[must_use]
+    pub fn normal(&self, frame: &CellFrame, anchor: DVec3, point: DVec3) -> DVec3 {
+        match *self {
+            Self::ShellFromAbove { altitude_m, .. }
+                if frame.altitude_m(point) > altitude_m + BEYOND_MIN_M =>
+            {
+                let centre = 0.5 * (anchor - DVec3::Y * frame.planet_radius_m());
+                (point - centre).normalize_or(DVec3::Y)
+            }
+            Self::Shell { .. } | Self::ShellFromAbove { .. } => frame.up(point),
+            Self::Dome { .. } => (point - anchor).normalize_or_zero(),
+        }
+    }
+
+    /// How far along a unit direction it is from a point inside it or above it, m.
     #[must_use]
     pub fn distance_m(
         &self,
@@ -195,6 +239,23 @@ impl Surface {
     ) -> f64 {
         match *self {
             Self::Shell { altitude_m } => frame.distance_to_shell_m(from, direction, altitude_m),
+            Self::ShellFromAbove {
+                altitude_m,
+                least_m,
+            } => {
+                let near_m = frame.shell_roots_m(from, direction, altitude_m);
+                let seen_m = near_m.map(|[near_m, _]| near_m).filter(|near_m| {
+                    let point = from + direction * near_m;
+                    *near_m > 0.0 && (anchor - point).dot(frame.up(point)) >= 0.0
+                });
+                seen_m.unwrap_or_else(|| {
+                    let from_anchor = from - anchor;
+                    let from_centre = from + DVec3::Y * frame.planet_radius_m();
+                    let b = 0.5 * (direction.dot(from_anchor) + direction.dot(from_centre));
+                    let c = from_anchor.dot(from_centre);
+                    ((b * b - c).max(0.0).sqrt() - b).max(least_m)
+                })
+            }
             Self::Dome { radius_m } => {
                 let from = from - anchor;
                 let b = direction.dot(from);
@@ -271,13 +332,17 @@ impl Proxy {
         height_m.abs().max(HEIGHT_MIN_M)
     }
 
+    /// Whether rays go down to it about an anchor.
+    #[must_use]
+    pub fn is_from_above(&self, frame: &CellFrame, anchor: DVec3) -> bool {
+        frame.altitude_m(anchor) > self.altitude_m
+    }
+
     /// Where its texels lie about an anchor in a cell's frame.
     #[must_use]
     pub fn surface(&self, frame: &CellFrame, anchor: DVec3) -> Surface {
         match self.dome {
-            None => Surface::Shell {
-                altitude_m: self.altitude_m,
-            },
+            None => Surface::shell(frame, anchor, self.altitude_m),
             Some(dome) => Surface::Dome {
                 radius_m: dome.radius * self.height_m(frame, anchor),
             },
@@ -305,6 +370,11 @@ impl Proxy {
             })
         };
         let [near_m, far_m] = distances(|dome| dome.between).map(|m| m as f32);
+        let [radius_m, least_m] = match self.surface(frame, anchor) {
+            Surface::Shell { .. } => [0.0, 0.0],
+            Surface::ShellFromAbove { least_m, .. } => [0.0, least_m],
+            Surface::Dome { radius_m } => [radius_m, 0.0],
+        };
         let [near_gap_m, far_gap_m] = distances(|dome| dome.between_gaps).map(|m| m as f32);
         layout::Proxy {
             anchor: anchor.as_vec3().to_array(),
@@ -319,11 +389,9 @@ impl Proxy {
                 ..Default::default()
             },
             layer: self.layer as u32,
-            radius_m: match self.surface(frame, anchor) {
-                Surface::Shell { .. } => 0.0,
-                Surface::Dome { radius_m } => radius_m as f32,
-            },
-            ..Default::default()
+            radius_m: radius_m as f32,
+            from_above: u32::from(self.is_from_above(frame, anchor)),
+            least_m: least_m as f32,
         }
     }
 }

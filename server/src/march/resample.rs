@@ -16,6 +16,7 @@ pub fn resample_key(domes: bool, parallax: bool) -> PipelineKey {
         features: Features {
             catmull_rom: true,
             domes,
+            above: true,
             parallax: domes && parallax,
             ..Features::default()
         },

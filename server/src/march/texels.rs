@@ -25,6 +25,7 @@ pub fn texels_key(layer: Features) -> PipelineKey {
             catmull_rom: false,
             linear_output: false,
             screen_space: false,
+            above: true,
             ..layer
         },
     }

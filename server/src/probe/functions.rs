@@ -23,6 +23,8 @@ pub enum FunctionQuestion {
     Srgb = 6,
     /// A ray and a dome.
     DomeDistance = 7,
+    /// A ray from above and the surface of a proxy.
+    ProxyFromAbove = 8,
 }
 
 /// Two vectors.

@@ -107,11 +107,20 @@ fn point_at_altitude(planet_radius_m: f32, eye: View, direction: vec3f, altitude
     return eye.position + direction * max(shell.far_m, 1e-3);
 }
 
+#ifdef ABOVE
+/// Whether a viewer's ray from above passes over a proxy's part: tiles end a little above its edge, and coarse ones reach far
+/// beyond.
+fn passes_over(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f) -> bool {
+    let top = shell_roots(planet_radius_m, proxy.part.high_altitude_m, eye.position, eye.altitude_m, direction);
+    return proxy.from_above > 0u && !(top.hit && top.far_m > 0.0);
+}
+#endif
+
 #ifdef PARALLAX
 /// What a viewer away from where texels were marched knows of a proxy's part along its ray.
 struct Parallax {
-    /// Altitude of what it sees, m.
-    height_m: f32,
+    /// Where it is on the ray, see Way.
+    place: f32,
     /// Where the rays of the texels started that show it, from the anchor, m.
     origin: vec3f,
 }
@@ -178,12 +187,8 @@ const CLOUD_SLOPE: f32 = 3.0;
 fn searched_altitudes(planet_radius_m: f32, eye: View, proxy: Proxy, starts: vec3f, direction: vec3f) -> vec2f {
     let part = vec2f(proxy.part.low_altitude_m, proxy.part.high_altitude_m);
 #ifdef DOMES
-    let from_start = eye.position - starts;
-    // No ray in a layer is longer than this, and no square of it is beyond a float.
-    let distances_m = min(vec2f(proxy.part.near_m, proxy.part.far_gap_m), vec2f(FARTHEST_M));
-    let near_m = max(dome_distance_m(distances_m.x, from_start, direction), 0.0);
-    let far_m = max(dome_distance_m(distances_m.y, from_start, direction), 0.0);
-    let ends = vec2f(altitude_m(planet_radius_m, eye.position + direction * near_m), altitude_m(planet_radius_m, eye.position + direction * far_m));
+    let along = searched_distances_m(eye, proxy, starts, direction);
+    let ends = vec2f(altitude_m(planet_radius_m, eye.position + direction * along.x), altitude_m(planet_radius_m, eye.position + direction * along.y));
     return clamp(vec2f(min(ends.x, ends.y), max(ends.x, ends.y)), part.xx, part.yy);
 #else
     return part;
@@ -193,66 +198,127 @@ fn searched_altitudes(planet_radius_m: f32, eye: View, proxy: Proxy, starts: vec
 #ifdef DOMES
 /// Farther than any cloud is seen, m.
 const FARTHEST_M: f32 = 2e6;
+
+/// Distances along a viewer's ray between which it is as far from where a proxy's rays start as the proxy keeps something.
+fn searched_distances_m(eye: View, proxy: Proxy, starts: vec3f, direction: vec3f) -> vec2f {
+    let from_start = eye.position - starts;
+    // No ray in a layer is longer than this, and no square of it is beyond a float.
+    let distances_m = min(vec2f(proxy.part.near_m, proxy.part.far_gap_m), vec2f(FARTHEST_M));
+    let near_m = max(dome_distance_m(distances_m.x, from_start, direction), 0.0);
+    let far_m = max(dome_distance_m(distances_m.y, from_start, direction), 0.0);
+    return vec2f(near_m, far_m);
+}
 #endif
 
-/// Finds the altitude of what a viewer sees: goes along its ray, from the near side of what the proxy keeps to its far one, until it is
+/// Ends of a viewer's way through a proxy's part, the nearer first. Places on it are altitudes; from above distances, since a
+/// ray may leave the part at the altitude at which it has entered it.
+struct Way {
+    near: f32,
+    far: f32,
+}
+
+fn way_through(planet_radius_m: f32, eye: View, proxy: Proxy, starts: vec3f, direction: vec3f) -> Way {
+    let between = searched_altitudes(planet_radius_m, eye, proxy, starts, direction);
+#ifdef ABOVE
+    let top = shell_roots(planet_radius_m, proxy.part.high_altitude_m, eye.position, eye.altitude_m, direction);
+    let base = shell_roots(planet_radius_m, proxy.part.low_altitude_m, eye.position, eye.altitude_m, direction);
+    var near_m = max(top.near_m, 1e-3);
+    var far_m = max(select(top.far_m, base.near_m, base.hit), near_m);
+#ifdef DOMES
+    let along = searched_distances_m(eye, proxy, starts, direction);
+    near_m = clamp(along.x, near_m, far_m);
+    far_m = clamp(along.y, near_m, far_m);
+#endif
+    let is_above = proxy.from_above > 0u;
+    return Way(select(between.x, near_m, is_above), select(between.y, far_m, is_above));
+#else
+    return Way(between.x, between.y);
+#endif
+}
+
+/// A place of a viewer's way.
+fn point_at_place(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f, place: f32) -> vec3f {
+#ifdef ABOVE
+    if proxy.from_above > 0u { return eye.position + direction * place; }
+#endif
+    return point_at_altitude(planet_radius_m, eye, direction, place);
+}
+
+/// The place of a point beside a viewer's ray.
+fn place_beside(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f, point: vec3f) -> f32 {
+#ifdef ABOVE
+    if proxy.from_above > 0u { return dot(point - eye.position, direction); }
+#endif
+    return altitude_m(planet_radius_m, point);
+}
+
+/// Finds the place of what a viewer sees: goes along its ray, from the near side of what the proxy keeps to its far one, until it is
 /// behind what the texels there show. Where that moves what is read by little, the texel on the sphere tells it.
 fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTable, direction: vec3f) -> Parallax {
-    var result = Parallax(proxy.altitude_m, vec3f(0.0));
     let on_surface = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);
+#ifdef ABOVE
+    let on_surface_place = place_beside(planet_radius_m, eye, proxy, direction, on_surface);
+#else
+    let on_surface_place = proxy.altitude_m;
+#endif
+    var result = Parallax(on_surface_place, vec3f(0.0));
     let first = shown_at(table, on_surface - proxy.anchor);
     result.origin = select(vec3f(0.0), first.origin, first.held);
     let starts = proxy.anchor + result.origin;
+    let way = way_through(planet_radius_m, eye, proxy, starts, direction);
     let seen = starts + normalize(on_surface - starts) * first.distance_m;
-    let seen_m = clamp(altitude_m(planet_radius_m, seen), proxy.part.low_altitude_m, proxy.part.high_altitude_m);
-    result.height_m = select(proxy.altitude_m, seen_m, first.held);
+#ifdef ABOVE
+    let seen_place = clamp(place_beside(planet_radius_m, eye, proxy, direction, seen), way.near, way.far);
+#else
+    let seen_place = clamp(altitude_m(planet_radius_m, seen), proxy.part.low_altitude_m, proxy.part.high_altitude_m);
+#endif
+    result.place = select(on_surface_place, seen_place, first.held);
 
-    let between = searched_altitudes(planet_radius_m, eye, proxy, starts, direction);
-    let from_base = normalize(point_at_altitude(planet_radius_m, eye, direction, between.x) - starts);
-    let from_top = normalize(point_at_altitude(planet_radius_m, eye, direction, between.y) - starts);
-    let wanted = u32(min(length(from_base - from_top) / (SEARCH_PIXELS * eye.pixel_angle_rad), f32(eye.parallax_steps)));
+    let from_near = normalize(point_at_place(planet_radius_m, eye, proxy, direction, way.near) - starts);
+    let from_far = normalize(point_at_place(planet_radius_m, eye, proxy, direction, way.far) - starts);
+    let wanted = u32(min(length(from_near - from_far) / (SEARCH_PIXELS * eye.pixel_angle_rad), f32(eye.parallax_steps)));
     let searches = select(0u, wanted, wanted > 1u);
-    var low_m = between.x;
-    var low_behind_m = NOTHING_BEHIND_M;
-    var high_m = between.y;
-    var high_behind_m = 0.0;
+    var near = way.near;
+    var near_behind_m = NOTHING_BEHIND_M;
+    var far = way.far;
+    var far_behind_m = 0.0;
     var is_hit = false;
-    var last = point_at_altitude(planet_radius_m, eye, direction, low_m);
+    var last = point_at_place(planet_radius_m, eye, proxy, direction, near);
     for (var i = 0u; i < searches && !is_hit; i += 1u) {
-        let height_m = mix(between.x, between.y, f32(i + 1u) / f32(max(searches, 1u)));
-        let point = point_at_altitude(planet_radius_m, eye, direction, height_m);
+        let place = mix(way.near, way.far, f32(i + 1u) / f32(max(searches, 1u)));
+        let point = point_at_place(planet_radius_m, eye, proxy, direction, place);
         let probed = probe_point(planet_radius_m, proxy, table, result, point);
         let is_behind = probed.behind_m >= 0.0;
         // A point far behind a cloud is no part of it: it is in what the cloud hides. Along one surface it gets behind by no
         // more than some times the way that it has come.
         let way_m = length(point - last);
-        let is_on_surface = probed.behind_m - low_behind_m < CLOUD_SLOPE * way_m;
+        let is_on_surface = probed.behind_m - near_behind_m < CLOUD_SLOPE * way_m;
         is_hit = is_behind && (probed.behind_m < CLOUD_DEPTH_SHARE * way_m + CLOUD_DEPTH_M || is_on_surface);
-        high_m = select(high_m, height_m, is_hit);
-        high_behind_m = select(high_behind_m, probed.behind_m, is_hit);
-        low_m = select(height_m, low_m, is_behind);
-        low_behind_m = select(probed.behind_m, select(low_behind_m, NOTHING_BEHIND_M, is_behind && !is_hit), is_behind);
+        far = select(far, place, is_hit);
+        far_behind_m = select(far_behind_m, probed.behind_m, is_hit);
+        near = select(place, near, is_behind);
+        near_behind_m = select(probed.behind_m, select(near_behind_m, NOTHING_BEHIND_M, is_behind && !is_hit), is_behind);
         result.origin = probed.origin;
         last = point;
     }
     // The interval in which the ray goes under the surface is narrowed. At an edge it ends in the cloud.
-    let follows = is_hit && low_behind_m > 0.5 * NOTHING_BEHIND_M;
+    let follows = is_hit && near_behind_m > 0.5 * NOTHING_BEHIND_M;
     for (var i = 0u; i < 2u; i += 1u) {
-        let share = clamp(low_behind_m / min(low_behind_m - high_behind_m, -1e-3), 0.1, 0.9);
-        let height_m = mix(low_m, high_m, select(0.5, share, follows));
-        let point = point_at_altitude(planet_radius_m, eye, direction, height_m);
+        let between = clamp(near_behind_m / min(near_behind_m - far_behind_m, -1e-3), 0.1, 0.9);
+        let place = mix(near, far, select(0.5, between, follows));
+        let point = point_at_place(planet_radius_m, eye, proxy, direction, place);
         let probed = probe_point(planet_radius_m, proxy, table, result, point);
         let is_behind = probed.behind_m >= 0.0;
-        let is_high = is_hit && is_behind && (follows || probed.opacity > 0.5);
-        let is_low = is_hit && !is_high;
-        high_m = select(high_m, height_m, is_high);
-        high_behind_m = select(high_behind_m, probed.behind_m, is_high);
-        low_m = select(low_m, height_m, is_low);
-        low_behind_m = select(low_behind_m, probed.behind_m, is_low && follows);
+        let is_far = is_hit && is_behind && (follows || probed.opacity > 0.5);
+        let is_near = is_hit && !is_far;
+        far = select(far, place, is_far);
+        far_behind_m = select(far_behind_m, probed.behind_m, is_far);
+        near = select(near, place, is_near);
+        near_behind_m = select(near_behind_m, probed.behind_m, is_near && follows);
     }
-    let share = clamp(low_behind_m / min(low_behind_m - high_behind_m, -1e-3), 0.0, 1.0);
-    let surface_m = mix(low_m, high_m, select(1.0, share, follows));
-    result.height_m = select(result.height_m, select(low_m, surface_m, is_hit), searches > 0u);
+    let between = clamp(near_behind_m / min(near_behind_m - far_behind_m, -1e-3), 0.0, 1.0);
+    let surface = mix(near, far, select(1.0, between, follows));
+    result.place = select(result.place, select(near, surface, is_hit), searches > 0u);
     return result;
 }
 #endif
@@ -267,16 +333,21 @@ struct Kept {
 fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hidden: bool) -> LayerRadiance {
     let proxy = kept.proxy;
     let table = kept.table;
+#ifdef ABOVE
+    let is_clear = hidden || passes_over(planet_radius_m, eye, proxy, direction);
+#else
+    let is_clear = hidden;
+#endif
 #ifdef PARALLAX
     let parallax = parallax_along(planet_radius_m, eye, proxy, table, direction);
-    let point = point_at_altitude(planet_radius_m, eye, direction, parallax.height_m);
-    var cloud = cached_radiance(table, place_of_point(planet_radius_m, proxy, parallax, point), hidden);
+    let point = point_at_place(planet_radius_m, eye, proxy, direction, parallax.place);
+    var cloud = cached_radiance(table, place_of_point(planet_radius_m, proxy, parallax, point), is_clear);
     // The viewer is as far from what it sees as it is, not as far as the origin of the texel's ray.
     cloud.opacity_distance_m *= length(point - eye.position) / max(length(point - proxy.anchor - parallax.origin), 1.0);
     return cloud;
 #else
     let point = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);
-    return cached_radiance(table, point - proxy.anchor, hidden);
+    return cached_radiance(table, point - proxy.anchor, is_clear);
 #endif
 }
 

@@ -82,7 +82,9 @@ fn shown_before(way: Resample, table: PageTable, square: vec2f) -> LayerRadiance
     let r = way.planet_radius_m;
     let anchor = way.new_proxy.anchor;
     let on_surface = surface_point(r, way.new_proxy, anchor, altitude_m(r, anchor), direction_from_octahedral(square));
-    let before = in_other_frame(r, way.new_proxy.altitude_m, on_surface, way.moved);
+    // From above not all of the surface is on the shell.
+    let altitude = select(way.new_proxy.altitude_m, altitude_m(r, on_surface), way.new_proxy.from_above > 0u);
+    let before = in_other_frame(r, altitude, on_surface, way.moved);
     return cached_radiance(table, before - way.old_proxy.anchor, false);
 }
 #endif

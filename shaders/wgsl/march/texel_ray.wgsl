@@ -35,5 +35,11 @@ fn texel_direction(planet_radius_m: f32, proxy: Proxy, reference: vec3f, square:
     let from_anchor = direction_from_octahedral(square);
     let anchor_altitude = altitude_m(planet_radius_m, proxy.anchor);
     let on_surface = surface_point(planet_radius_m, proxy, proxy.anchor, anchor_altitude, from_anchor);
-    return above_horizon(planet_radius_m, normalize(on_surface - reference), reference);
+    let direction = normalize(on_surface - reference);
+#ifdef ABOVE
+    // From above the ground hides nothing of the layer in front of it.
+    return select(above_horizon(planet_radius_m, direction, reference), direction, proxy.from_above > 0u);
+#else
+    return above_horizon(planet_radius_m, direction, reference);
+#endif
 }

@@ -1,10 +1,11 @@
 // The physical functions at given points, one thread per point, for comparison with their f64 twins.
 #import skycell::shell::{altitude_m, shell_roots}
+#import skycell::scene::Proxy
 #import skycell::octahedral::{octahedral_from_direction, direction_from_octahedral}
 #import skycell::phase::{phase_hg_per_sr, phase_draine_per_sr}
 #import skycell::transport::one_minus_exp_over
 #import skycell::tone::srgb_from_linear
-#import skycell::surface::dome_distance_m
+#import skycell::surface::{dome_distance_m, distance_from_above_m}
 
 @group(0) @binding(0) var<storage, read> points: array<vec4f>;
 @group(0) @binding(1) var<storage, read_write> values: array<vec4f>;
@@ -43,6 +44,22 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
         case 6u: { value = vec4f(srgb_from_linear(first.xyz), 0.0); }
         // dome_distance_m(r = first.w, p = first.xyz, d = second.xyz)
         case 7u: { value.x = dome_distance_m(first.w, first.xyz, second.xyz); }
+        // From above: R = first.w, H = second.w, d = second.xyz, the anchor at y = first.x, the eye at (first.y, first.z, 0).
+        // The direction that the texel has which a ray reads, and the ray's distance to the surface.
+        case 8u: {
+            var proxy: Proxy;
+            proxy.anchor = vec3f(0.0, first.x, 0.0);
+            proxy.altitude_m = second.w;
+            proxy.from_above = 1u;
+            proxy.least_m = 1e-3;
+            let eye = vec3f(first.y, first.z, 0.0);
+            let sphere = shell_roots(first.w, second.w, eye, altitude_m(first.w, eye), second.xyz);
+            let distance_m = distance_from_above_m(first.w, proxy, eye, sphere, second.xyz);
+            let address = normalize(eye + second.xyz * distance_m - proxy.anchor);
+            let of_anchor = shell_roots(first.w, second.w, proxy.anchor, altitude_m(first.w, proxy.anchor), address);
+            let texel = proxy.anchor + address * distance_from_above_m(first.w, proxy, proxy.anchor, of_anchor, address);
+            value = vec4f(normalize(texel - eye), distance_m);
+        }
         default: {}
     }
     values[id.x] = value;

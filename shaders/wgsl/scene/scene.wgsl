@@ -204,8 +204,10 @@ struct Proxy {
     layer: u32,
     /// Of a dome, which is a sphere about the anchor, m.
     radius_m: f32,
-    pad_y: u32,
-    pad_z: u32,
+    /// 1: anchor and reference are above the layer, and rays go down to it.
+    from_above: u32,
+    /// From above: rays that pass over the shell have their places no nearer than this, m.
+    least_m: f32,
 }
 
 struct Scene {

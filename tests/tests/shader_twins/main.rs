@@ -2,6 +2,7 @@
 //! Every bound is an error budget of f32 arithmetic, and each test shows that a planted defect breaks it. Each function
 //! prints a row: points, worst of its bound, the defect (`-- --nocapture`).
 
+mod above;
 mod density;
 mod geometry;
 mod maps;

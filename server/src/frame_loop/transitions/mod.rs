@@ -134,8 +134,11 @@ impl SkyRenderer {
             match viewer.transition.take() {
                 None => {
                     // From what shows nothing there is no way, and rays of its own show the same sky in all cells.
-                    let is_shown =
-                        viewer.kind == RendererKind::Cached && self.coarse_is_ready(left);
+                    // Nor from what was seen from the other side of a layer.
+                    let altitude_m = viewer.view.camera.position_m()[1];
+                    let is_shown = viewer.kind == RendererKind::Cached
+                        && self.coarse_is_ready(left)
+                        && self.is_reached(left, altitude_m);
                     let requests = std::mem::take(&mut viewer.requests);
                     if is_shown && in_transition < VIEWERS_MAX {
                         self.counters.transitions.begun += 1;
@@ -276,7 +279,8 @@ impl SkyRenderer {
         let Some(mut transition) = viewer.transition.take() else {
             return;
         };
-        if viewer.kind != RendererKind::Cached {
+        let altitude_m = viewer.view.camera.position_m()[1];
+        if viewer.kind != RendererKind::Cached || !self.is_reached(transition.from, altitude_m) {
             return;
         }
         let camera = viewer.view.camera;

@@ -224,6 +224,7 @@ impl<'a> CrowdTiles<'a> {
                             altitude_m: layer.proxy_altitude_m,
                         },
                         reference: anchored.frame.from_world(cell.reference_m),
+                        top_m: None,
                         seen_between_m: Some([between.base_altitude_m(), between.top_altitude_m()]),
                         band: None,
                     }

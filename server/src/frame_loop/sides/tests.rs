@@ -1,0 +1,155 @@
+//! What is shown on a way through layers.
+
+use super::*;
+use crate::frame_loop::driven::{Driven, FPS, steps, view};
+use image::RgbImage;
+use serde_json::{Value, json};
+use skycell_protocol::{Camera, InputSequence, ViewerId};
+use std::time::{Duration, Instant};
+
+const CLIMBER: ViewerId = ViewerId(1);
+/// Tiles that are marched between two frames: as many as a second of this way needs.
+const TILES: usize = 40;
+
+fn two_layers() -> Value {
+    json!({"version": 1, "wind": {"speed_m_per_s": 0}, "layers": [
+        {"name": "low", "base_altitude_m": 1500, "top_altitude_m": 2100,
+         "density": {"model": "weather", "coverage": 0.5, "type": 0.5}},
+        {"name": "high", "base_altitude_m": 4000, "top_altitude_m": 4600,
+         "density": {"model": "weather", "coverage": 0.4, "type": 0.2, "seed": 3}}]})
+}
+
+fn camera(altitude_m: f64) -> Camera {
+    Camera::new([200.0, altitude_m, -300.0], 40.0, -4.0, 60.0).expect("a camera")
+}
+
+fn joined(renderer: RendererKind, altitude_m: f64) -> Driven {
+    let mut driven = Driven::new(32, &two_layers(), &[]);
+    let mut asked = view([96, 54], camera(altitude_m));
+    asked.renderer = renderer;
+    driven.renderer.join(CLIMBER, asked);
+    if renderer == RendererKind::Cached {
+        driven.settle();
+    }
+    driven
+}
+
+impl Driven {
+    /// One frame of the climber at an altitude, by whichever renderer makes it.
+    fn climb(&mut self, altitude_m: f64) -> RgbImage {
+        let renderer = &mut self.renderer;
+        renderer.set_camera(CLIMBER, InputSequence(1), camera(altitude_m));
+        renderer.take_views();
+        renderer.finish_approaches(Instant::now());
+        renderer.regroup(1.0 / FPS);
+        renderer.pass_transitions(1.0 / FPS);
+        renderer.refresh_cells();
+        renderer.march(TILES);
+        renderer.refresh_cells();
+        if self.kind() == RendererKind::ScreenSpace {
+            let renderer = &mut self.renderer;
+            renderer.restart_screen_space(CLIMBER);
+            while !renderer.march_screen_space(CLIMBER, u64::MAX >> 20) {
+                renderer.gpu.wait().expect("a device");
+            }
+        }
+        self.show(CLIMBER)
+    }
+
+    fn kind(&self) -> RendererKind {
+        self.renderer.viewers[&CLIMBER].kind
+    }
+
+    /// Waits for what is made on another thread.
+    fn wait_for_pipelines(&mut self) {
+        let begun = Instant::now();
+        while !(self.renderer.above_keys(&self.renderer.scene.clone()))
+            .into_iter()
+            .all(|key| self.renderer.pipelines.get(key).is_some())
+        {
+            assert!(begun.elapsed() < Duration::from_secs(60), "never made");
+            self.renderer.take_views();
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+#[test]
+fn a_climb_through_a_layer_and_back_shows_no_step_that_rays_do_not_show() {
+    // Up through the lower layer into the gap, and down again.
+    let up: Vec<f64> = (0..22).map(|i| 1_360.0 + 50.0 * f64::from(i)).collect();
+    let way: Vec<f64> = up.iter().chain(up.iter().rev()).copied().collect();
+    let mut cached = joined(RendererKind::Cached, way[0]);
+    let mut rays = joined(RendererKind::ScreenSpace, way[0]);
+    let mut kinds = Vec::new();
+    let mut frames = [Vec::new(), Vec::new()];
+    for altitude_m in &way {
+        frames[0].push(cached.climb(*altitude_m));
+        frames[1].push(rays.climb(*altitude_m));
+        if kinds.last().is_none_or(|(_, kind)| *kind != cached.kind()) {
+            kinds.push((*altitude_m, cached.kind()));
+        }
+        if kinds.len() == 2 {
+            cached.wait_for_pipelines();
+        }
+    }
+    let [shown, by_rays] = frames.each_ref().map(|frames| steps(frames));
+    for (index, (a, b)) in shown.iter().zip(&by_rays).enumerate() {
+        println!(
+            "{:>6} m: {a:.4} from one frame to the next, rays {b:.4}",
+            way[index + 1]
+        );
+    }
+    println!("{kinds:?}");
+    let is = |index: usize, kind| kinds.get(index).is_some_and(|k: &(f64, _)| k.1 == kind);
+    assert!(is(0, RendererKind::Cached) && is(1, RendererKind::ScreenSpace));
+    assert!(is(2, RendererKind::Cached) && is(3, RendererKind::ScreenSpace));
+    assert!(is(4, RendererKind::Cached) && kinds.len() == 5, "{kinds:?}");
+    // What a change of renderers shows beside the motion: filter and texels against the window's samples.
+    for (index, (a, b)) in shown.iter().zip(&by_rays).enumerate() {
+        assert!(*a <= 1.5 * b + 0.03, "{} m: {a} {b}", way[index + 1]);
+    }
+}
+
+#[test]
+fn who_is_carried_through_a_layer_at_once_gets_rays_until_the_cache_is_there() {
+    let mut driven = joined(RendererKind::Cached, 1_000.0);
+    assert_eq!(driven.kind(), RendererKind::Cached);
+    driven.climb(3_000.0);
+    assert_eq!(driven.kind(), RendererKind::ScreenSpace);
+    assert!(driven.renderer.viewers[&CLIMBER].reads_cache());
+    driven.wait_for_pipelines();
+    for _ in 0..40 {
+        driven.climb(3_000.0);
+    }
+    assert_eq!(driven.kind(), RendererKind::Cached);
+    // All that is read was marched from where it is now.
+    let id = driven.cell_of(CLIMBER);
+    assert!(driven.renderer.is_reached(id, 3_000.0));
+    let viewer = &driven.renderer.viewers[&CLIMBER];
+    assert!(!driven.renderer.is_coarse(id, &viewer.requests));
+    assert!(viewer.requests.iter().all(|tiles| !tiles.is_empty()));
+}
+
+#[test]
+fn two_who_look_down_side_by_side_share_texels() {
+    let mut driven = joined(RendererKind::Cached, 3_000.0);
+    driven.wait_for_pipelines();
+    driven.climb(3_000.0);
+    driven.settle();
+    let marched = |driven: &Driven| driven.renderer.counters.tiles_updated;
+    let alone = marched(&driven);
+    assert!(alone > 0);
+    let mut beside = view([96, 54], camera(3_000.0));
+    beside.camera = Camera::new([210.0, 3_001.0, -300.0], 42.0, -4.0, 60.0).expect("a camera");
+    driven.renderer.join(ViewerId(2), beside);
+    driven.renderer.regroup(1.0 / FPS);
+    driven.settle();
+    let both = marched(&driven);
+    println!(
+        "{alone} tile updates for one, {} more for two",
+        both - alone
+    );
+    assert_eq!(driven.cell_of(CLIMBER), driven.cell_of(ViewerId(2)));
+    assert!(4 * (both - alone) < alone, "{alone} {both}");
+}
