@@ -81,8 +81,10 @@ impl SkyRenderer {
     ) -> PipelineKey {
         let domes = self.kept_on.has_domes();
         let searches = viewer.kind == RendererKind::Cached
-            && self.active_cells.get(&cell).is_some_and(|cell| {
-                parallax_steps(&self.scene, &self.active, domes, viewer, cell) > 0
+            && self.active_cells.get(&cell).is_some_and(|on_device| {
+                let (scene, active) = (&self.scene, &self.active);
+                let camera = viewer.camera_in(cell);
+                parallax_steps(scene, active, domes, viewer, &camera, on_device) > 0
             });
         if searches {
             with_parallax(composite)
