@@ -20,6 +20,32 @@ pub struct ServerStats {
     /// The service's own figures.
     #[serde(default)]
     pub service: ServiceStats,
+    /// How wrong the caches are.
+    #[serde(default)]
+    pub audit: AuditStats,
+    /// What is given up because memory or time do not suffice.
+    #[serde(default)]
+    pub losses: LossStats,
+}
+
+/// How far cached texels are from texels marched anew.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+pub struct AuditStats {
+    /// 95 of 100 deviate by no more, percent; none before the first.
+    #[serde(default)]
+    pub p95_percent: Option<f64>,
+}
+
+/// What is given up because memory or time do not suffice.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(default)]
+pub struct LossStats {
+    /// Wanted tiles that found no room, since the start.
+    pub tiles_refused: u64,
+    /// Halvings of resolution, of the cell that has lost most.
+    pub levels_lost_most: u32,
+    /// How much is given up for want of time, 0 for nothing.
+    pub rate_step: u32,
 }
 
 /// What the service counts beside the renderer.
@@ -28,6 +54,9 @@ pub struct ServiceStats {
     /// Processor time since the start, s.
     #[serde(default)]
     pub cpu_s: Option<f64>,
+    /// Memory that its process holds.
+    #[serde(default)]
+    pub memory_bytes: Option<u64>,
 }
 
 /// What renders.

@@ -70,6 +70,7 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @property {string | null} [renderer]  which renderer makes the frames
  * @property {string | null} [renderer_note]  why it is not the one that was asked for
  * @property {string | null} [show_note]  why frames do not show the view that was asked for
+ * @property {string | null} [loss_note]  what the view cell has lost because memory or time do not suffice
  * @property {number | null} [cache_error_p50_percent]  how far half of the cached texels are from fresh ones at most
  * @property {number | null} [cache_error_p95_percent]  the same of 95 of 100
  */

@@ -220,7 +220,8 @@ function showFigures(status) {
   write("picked", server ? pickedText(server) : "–");
   write("cache-error", server ? cacheErrorText(server) : "–");
   write("renderer", server?.renderer ?? "–");
-  write("show-note", server?.show_note ?? server?.renderer_note ?? "");
+  const notes = [server?.show_note ?? server?.renderer_note, server?.loss_note];
+  write("show-note", notes.filter((note) => note).join("; "));
   write("picture-size", header ? `${header.width} × ${header.height}${header.coarse ? ", still coarse" : ""}` : "–");
 }
 

@@ -201,6 +201,36 @@ fn describe() {
         "skycell_cell_changes_total",
         "Changes of view cells by how they were shown: on a way, or at once for want of room or time"
     );
+    describe_gauge!(
+        "skycell_cache_tiles_wished",
+        "Tiles that caches would hold if nothing were given up"
+    );
+    describe_gauge!("skycell_cache_tiles_max", "Tiles that caches may hold");
+    describe_counter!(
+        "skycell_tiles_refused_total",
+        "Wanted tiles that found no room because not even the coarse levels fit"
+    );
+    describe_gauge!(
+        "skycell_cell_levels_lost",
+        "Halvings of resolution that a view cell has lost because memory or time do not suffice"
+    );
+    describe_gauge!(
+        "skycell_rate_step",
+        "How much is given up because the time for marching does not suffice, 0 for nothing"
+    );
+    describe_gauge!(
+        "skycell_march_backlog_seconds",
+        Unit::Seconds,
+        "How long the marches that wait take, at their share of the time"
+    );
+    describe_counter!(
+        "skycell_loss_changes_total",
+        "How often something was given up or came back, by what does not suffice"
+    );
+    describe_counter!(
+        "skycell_frames_held_total",
+        "Frames that waited for tiles, by whether they were a viewer's first"
+    );
     describe_gauge!("skycell_scene_revision", "Revision of the rendered scene");
     describe_gauge!("skycell_cell_viewers", "Viewers of a view cell");
     describe_gauge!(
@@ -289,6 +319,24 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
     for (shown, changes) in [("way", ways.begun), ("at-once", ways.swapped)] {
         counter!("skycell_cell_changes_total", "shown" => shown).absolute(changes);
     }
+    let losses = &stats.losses;
+    gauge!("skycell_cache_tiles_wished").set(losses.tiles_wished as f64);
+    gauge!("skycell_cache_tiles_max").set(losses.tiles_max as f64);
+    counter!("skycell_tiles_refused_total").absolute(losses.tiles_refused);
+    gauge!("skycell_rate_step").set(f64::from(losses.rate_step));
+    gauge!("skycell_march_backlog_seconds").set(losses.backlog_s);
+    for (short, changes) in [
+        ("memory", losses.memory_changes),
+        ("time", losses.rate_changes),
+    ] {
+        counter!("skycell_loss_changes_total", "of" => short).absolute(changes);
+    }
+    for (which, frames) in [
+        ("first", totals.first_frames_held),
+        ("further", totals.frames_held),
+    ] {
+        counter!("skycell_frames_held_total", "which" => which).absolute(frames);
+    }
     gauge!("skycell_scene_revision").set(stats.scene_revision as f64);
     for cell in &stats.cells {
         let labels = [("cell", cell.id.to_string()), ("name", cell.name.clone())];
@@ -298,6 +346,7 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
         gauge!("skycell_cell_texels_unique", &labels).set(cell.texels_unique as f64);
         gauge!("skycell_cell_texels_pending", &labels).set(cell.texels_pending as f64);
         gauge!("skycell_cell_tiles_resident", &labels).set(cell.tiles_resident as f64);
+        gauge!("skycell_cell_levels_lost", &labels).set(f64::from(cell.levels_lost));
         gauge!("skycell_cell_cache_bytes", &labels).set(cell.bytes as f64);
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use skycell_client::ServerAddress;
-use skycell_client::load::{self, LoadOptions, LoadReport, ViewerRing};
+use skycell_client::load::{self, LoadOptions, LoadReport, SoakOptions, ViewerRing};
 use skycell_protocol::FrameSize;
 
 use super::{QualityArgument, asked_to_stop, print_line, progress_bar};
@@ -14,12 +14,17 @@ const EXAMPLES: &str = "\
 Examples:
   skycell load --url ws://127.0.0.1:8080/ws --viewers 16 --overlaps 0,20,40,60,80,100 --json load.json
   skycell load --url ws://127.0.0.1:8080/ws --viewers 4 --overlaps 0,100 --wind-off --renderer-baseline
+  skycell load --crowd migrate --viewers 6 --seconds 600 --width 96 --height 54 --fps 5 --max-error 0.1
 
 All viewers stand at one place. With n of them a picture is 360/n degrees wide at most, and
 neighbours are turned by (1 - overlap) of that about the vertical axis: at 0 % they close the
 circle, at 100 % all look the same way. Per overlap: fresh viewers join an empty server, hold still
 until its sky has converged, turn together for some seconds, and leave. They acknowledge frames
 without decoding them. The server must have no other viewers.
+
+With --crowd migrate viewers do not stand: groups travel for --seconds, meet and part, so that view
+cells merge, split and move. The server's memory, heartbeats, pictures and cache error are watched
+and held to bars; the command fails when one is missed.
 
 Ideal is: texels updated = unique texels x samples, and GPU time in proportion to unique texels.";
 
@@ -51,6 +56,15 @@ pub(crate) struct Arguments {
     /// How long to turn per overlap; 0 leaves it out.
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0)]
     seconds: f64,
+    /// Viewers who move for --seconds instead of standing.
+    #[arg(long, value_enum)]
+    crowd: Option<CrowdArgument>,
+    /// Error that viewers of a crowd ask for, FLIP.
+    #[arg(long, value_name = "FLIP", default_value_t = 0.1)]
+    max_error: f64,
+    /// How many seconds of its way a crowd goes in one.
+    #[arg(long, default_value_t = 1.0)]
+    pace: f64,
     /// How fast to turn.
     #[arg(
         long,
@@ -96,10 +110,24 @@ pub(crate) struct Arguments {
     wind_off: bool,
 }
 
+/// How a crowd moves.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum CrowdArgument {
+    /// Groups that travel, meet and part.
+    Migrate,
+}
+
 const OVERLAPS_MAX: usize = 100;
+/// Viewers of a crowd.
+const CROWD_VIEWERS_MAX: u32 = 1024;
 const WAIT_MAX_S: f64 = 3600.0;
+/// A day.
+const CROWD_MAX_S: f64 = 86_400.0;
 
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    if let Some(CrowdArgument::Migrate) = arguments.crowd {
+        return soak(&arguments).await;
+    }
     let options = options(&arguments)?;
     let to_stdout = arguments.json.as_deref() == Some(Path::new("-"));
     let file = arguments.json.as_deref().filter(|_| !to_stdout);
@@ -130,6 +158,42 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         return print_line(&serde_json::to_string_pretty(&report)?);
     }
     print_line(load::table(&report).trim_end())
+}
+
+async fn soak(arguments: &Arguments) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        (1..=CROWD_VIEWERS_MAX).contains(&arguments.viewers),
+        "--viewers is {}; allowed: 1 to {CROWD_VIEWERS_MAX}",
+        arguments.viewers
+    );
+    in_range("--fps", arguments.fps, 1.0, 120.0)?;
+    in_range("--seconds", arguments.seconds, 5.0, CROWD_MAX_S)?;
+    in_range("--max-error", arguments.max_error, 0.001, 1.0)?;
+    in_range("--pace", arguments.pace, 0.01, 100.0)?;
+    let options = SoakOptions {
+        viewers: arguments.viewers as usize,
+        duration: Duration::from_secs_f64(arguments.seconds),
+        size: FrameSize::new(arguments.width, arguments.height)?,
+        fps: arguments.fps,
+        max_error: arguments.max_error,
+        pace: arguments.pace,
+    };
+    let progress = progress_bar("{spinner} {pos}/{len} s  {msg}");
+    let result = load::soak(&arguments.url, &options, &progress, asked_to_stop()).await;
+    progress.finish_and_clear();
+    let report = result?;
+    let json = serde_json::to_string_pretty(&report)?;
+    match arguments.json.as_deref() {
+        Some(file) if file == Path::new("-") => print_line(&json)?,
+        file => {
+            if let Some(file) = file {
+                std::fs::write(file, json).with_context(|| file.display().to_string())?;
+            }
+            print_line(report.table().trim_end())?;
+        }
+    }
+    anyhow::ensure!(report.is_kept(), "a bar was missed");
+    Ok(())
 }
 
 fn save(file: &Path, report: &LoadReport) -> anyhow::Result<()> {

@@ -14,6 +14,7 @@ mod crowd;
 mod overlap;
 pub mod report;
 pub mod ring;
+pub mod soak;
 pub mod table;
 mod viewer;
 mod wait;
@@ -28,6 +29,8 @@ use thiserror::Error;
 
 pub use self::report::LoadReport;
 pub use self::ring::ViewerRing;
+pub use self::soak::report::SoakReport;
+pub use self::soak::{SoakOptions, soak};
 pub use self::table::table;
 pub use self::viewer::{TimesMs, TurningFigures, ViewerFigures};
 use self::wind::StilledWind;

@@ -81,6 +81,9 @@ pub struct Status {
     /// Why this client's frames do not show what was asked for; null where they do.
     #[serde(default)]
     pub show_note: Option<String>,
+    /// What this client's cell has lost because the server's memory or time do not suffice; null where nothing is lost.
+    #[serde(default)]
+    pub loss_note: Option<String>,
 }
 
 /// What the server has picked for a client.

@@ -56,6 +56,8 @@ struct ServiceStats {
     scene_revision: u64,
     /// Processor time that the server has used since it started, over all cores; null where the system does not tell.
     cpu_s: Option<f64>,
+    /// Memory that the server's process holds; null where the system does not tell.
+    memory_bytes: Option<u64>,
 }
 
 /// `/api/v1/stats`: the renderer's figures and the service's.
@@ -98,8 +100,19 @@ pub(super) async fn stats(State(context): State<Arc<StreamContext>>) -> Json<Sta
             cpu_s: cpu_time::ProcessTime::try_now()
                 .ok()
                 .map(|time| time.as_duration().as_secs_f64()),
+            memory_bytes: resident_bytes(),
         },
     })
+}
+
+/// Memory that this process holds, where the system tells as Linux does.
+fn resident_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))?;
+    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib << 10)
 }
 
 /// What frames can show, with the scales of the colours.

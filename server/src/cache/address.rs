@@ -65,6 +65,17 @@ impl TileKey {
         })
     }
 
+    /// The tile some levels before that covers this one: at level 0 there is nothing coarser.
+    #[must_use]
+    pub fn coarser(self, levels: u8) -> Self {
+        let levels = levels.min(self.level);
+        Self {
+            level: self.level - levels,
+            x: self.x >> levels,
+            y: self.y >> levels,
+        }
+    }
+
     /// Direction from the anchor through a place in the tile, (0, 0) to (1, 1).
     #[must_use]
     pub fn direction(self, within: DVec2) -> DVec3 {
@@ -159,6 +170,9 @@ mod tests {
         };
         for child in tile.children() {
             assert_eq!(child.parent(), Some(tile));
+            assert_eq!(child.coarser(1), tile);
+            assert_eq!(Some(child.coarser(2)), tile.parent());
+            assert_eq!(child.coarser(200).level, 0);
         }
     }
 }

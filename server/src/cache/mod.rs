@@ -2,6 +2,7 @@
 //! side is in `march`.
 
 mod address;
+mod budget;
 mod pool;
 mod requests;
 mod sphere;
@@ -10,8 +11,13 @@ pub use address::{
     BASE_TILES, GUTTER, LEVELS, TILE_INTERIOR, TILE_STRIDE, TileKey, direction_from_octahedral,
     octahedral_from_direction, texel_solid_angle_sr,
 };
+pub use budget::{
+    LEVELS_LOST_MAX, MemoryGovernor, Rate, RateGovernor, TileLimits, Wish, coarsened, least_losses,
+};
 pub use pool::{Slot, SlotPool};
-pub use requests::{Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, requested_tiles};
+pub use requests::{
+    Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, requested_tiles, seen_blocks,
+};
 pub use sphere::{NO_TILE, PageTables, SphereCache, Want};
 
 use glam::{DVec2, DVec3};
@@ -22,8 +28,6 @@ use std::collections::BTreeMap;
 pub const TEXELS_PER_TILE: u64 = (TILE_STRIDE * TILE_STRIDE) as u64;
 /// Bytes of a texel: four half floats of radiance and transmittance, one float of distance.
 pub const BYTES_PER_TEXEL: u64 = 12;
-/// A tile that no frame has shown for so long may lose its slot.
-pub const UNSEEN_FRAMES: u64 = 20;
 
 /// One proxy sphere: a part of a layer of the scene in a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -59,8 +63,16 @@ pub struct Caches {
     samples: u32,
     frame: u64,
     evicted: u64,
+    refused: u64,
+    /// Most tiles of a cell.
+    cell_tiles_max: u32,
+    /// Samples that are to be taken, as of the last plan.
+    backlog: u64,
     is_calm: bool,
 }
+
+/// Tiles that may lose their slots: the one unseen for longest last.
+type Evictable = Vec<(u64, SphereId, TileKey)>;
 
 impl Caches {
     /// Caches of at most `tiles_max` tiles whose texels average `samples` samples.
@@ -72,8 +84,33 @@ impl Caches {
             samples: samples.max(1),
             frame: 0,
             evicted: 0,
+            refused: 0,
+            cell_tiles_max: u32::MAX,
+            backlog: 0,
             is_calm: true,
         }
+    }
+
+    /// Another limit of the tiles of each cell; what is beyond it goes when something else is wanted.
+    pub fn set_cell_tiles_max(&mut self, tiles_max: u32) {
+        self.cell_tiles_max = tiles_max;
+    }
+
+    /// How many tiles there may be.
+    #[must_use]
+    pub fn limits(&self) -> TileLimits {
+        TileLimits {
+            server: u64::from(self.pool.limit()),
+            cell: u64::from(self.cell_tiles_max.min(self.pool.limit())),
+        }
+    }
+
+    /// Tiles that a cell holds.
+    #[must_use]
+    pub fn resident_in(&self, cell: CellId) -> u64 {
+        self.spheres_of(cell)
+            .map(|(_, sphere)| sphere.resident() as u64)
+            .sum()
     }
 
     /// A sphere; made when it is not there.
@@ -198,7 +235,7 @@ impl Caches {
             if sources.is_empty() {
                 continue;
             }
-            let Some(slot) = self.pool.allocate().or_else(|| self.evict(&mut evictable)) else {
+            let Some(slot) = self.slot_for(id.cell, &mut evictable) else {
                 break;
             };
             if let Some(sphere) = self.spheres.get_mut(&id) {
@@ -246,6 +283,7 @@ impl Caches {
         let mut candidates = Vec::new();
         let mut found = Vec::new();
         let all_samples = self.samples;
+        let mut backlog = 0;
         for (id, sphere) in &mut self.spheres {
             let Some(reference) = references(*id) else {
                 continue;
@@ -253,10 +291,15 @@ impl Caches {
             sphere.plan_at(reference);
             let samples = sphere.samples().unwrap_or(all_samples);
             sphere.candidates(samples, reference, self.is_calm, &mut found);
+            backlog += found
+                .iter()
+                .map(|candidate| u64::from(candidate.owed))
+                .sum::<u64>();
             candidates.extend(found.drain(..).map(|candidate| (*id, reference, candidate)));
         }
         candidates.sort_unstable_by(|a, b| a.2.rank(&b.2).then(a.0.cmp(&b.0)));
-        let mut evictable: Option<Vec<(u64, SphereId, TileKey)>> = None;
+        self.backlog = backlog;
+        let mut evictable = None;
         let mut updates = Vec::new();
         for (id, reference, candidate) in candidates {
             if updates.len() == tiles_max {
@@ -267,8 +310,9 @@ impl Caches {
                 .get(&id)
                 .is_some_and(|sphere| sphere.tiles.contains_key(&candidate.key));
             if !resident {
-                let Some(slot) = self.pool.allocate().or_else(|| self.evict(&mut evictable)) else {
-                    // The budget is spent on what is seen: this tile is shown by a coarser one.
+                let Some(slot) = self.slot_for(id.cell, &mut evictable) else {
+                    // Not even the coarse levels of all cells fit: this tile is shown by a coarser one, if there is any.
+                    self.refused += 1;
                     continue;
                 };
                 if let Some(sphere) = self.spheres.get_mut(&id) {
@@ -294,23 +338,33 @@ impl Caches {
         updates
     }
 
-    /// The slot of the tile that was unseen for longest. The list is made at the first call and used up.
-    fn evict(&mut self, list: &mut Option<Vec<(u64, SphereId, TileKey)>>) -> Option<Slot> {
+    /// A slot for a tile of a cell: a free one, or that of a tile which nobody wants, of the same cell where that is at its
+    /// limit. While what is wanted fits, there always is one.
+    fn slot_for(&mut self, cell: CellId, evictable: &mut Option<Evictable>) -> Option<Slot> {
+        let is_full = self.resident_in(cell) >= u64::from(self.cell_tiles_max);
+        if !is_full && let Some(slot) = self.pool.allocate() {
+            return Some(slot);
+        }
+        self.evict(is_full.then_some(cell), evictable)
+    }
+
+    /// The slot of the tile that was unseen for longest, of one cell or of all. The list is made at the first call and used up.
+    fn evict(&mut self, cell: Option<CellId>, list: &mut Option<Evictable>) -> Option<Slot> {
         let list = list.get_or_insert_with(|| {
-            let mut all: Vec<_> = self
+            let mut all: Evictable = self
                 .spheres
                 .iter()
                 .flat_map(|(id, sphere)| {
-                    sphere
-                        .evictable(self.frame, UNSEEN_FRAMES)
-                        .into_iter()
-                        .map(|(seen, key)| (seen, *id, key))
+                    let evictable = sphere.evictable().into_iter();
+                    evictable.map(|(seen, key)| (seen, *id, key))
                 })
                 .collect();
             all.sort_unstable_by(|a, b| b.cmp(a));
             all
         });
-        let (_, id, key) = list.pop()?;
+        let is_of = |id: &SphereId| cell.is_none_or(|cell| id.cell == cell);
+        let place = list.iter().rposition(|(_, id, _)| is_of(id))?;
+        let (_, id, key) = list.remove(place);
         self.evicted += 1;
         self.spheres.get_mut(&id)?.remove(&key)
     }
@@ -360,6 +414,18 @@ impl Caches {
     #[must_use]
     pub fn evicted(&self) -> u64 {
         self.evicted
+    }
+
+    /// How often a wanted tile found no slot, because not even the coarse levels of all cells fit.
+    #[must_use]
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+
+    /// Samples that were to be taken when updates were last planned, in tiles.
+    #[must_use]
+    pub fn backlog(&self) -> u64 {
+        self.backlog
     }
 
     /// Tiles that have a slot.

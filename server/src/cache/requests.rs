@@ -1,6 +1,6 @@
 //! Which tiles a viewer needs: those inside its frustum and above its horizon, at the level of its pixels.
 
-use super::address::{LEVELS, TILE_INTERIOR, TileKey, texel_solid_angle_sr};
+use super::address::{GUTTER, LEVELS, TILE_INTERIOR, TILE_STRIDE, TileKey, texel_solid_angle_sr};
 use crate::march::{CellFrame, Surface};
 use glam::{DVec2, DVec3};
 
@@ -8,6 +8,13 @@ use glam::{DVec2, DVec3};
 /// 16:9 at 60° needs one level almost everywhere, so that viewers who look at the same clouds with different parts of
 /// their pictures ask for the same texels, and bilinear reads are as good as sharper ones.
 const TEXELS_PER_PIXEL_MAX: f64 = 0.8;
+
+/// Texels along a block, and blocks along a stored tile.
+const BLOCK: u32 = 8;
+const BLOCKS: u32 = TILE_STRIDE / BLOCK;
+
+/// Pixels of a tile whose texels are as wide as pixels.
+const TILE_PIXELS: f64 = (TILE_INTERIOR * TILE_INTERIOR) as f64;
 
 /// A camera in the frame of a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -176,7 +183,13 @@ struct SeenTile {
 }
 
 fn seen_tile(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> SeenTile {
-    let middle = sphere.point(tile.direction(DVec2::splat(0.5)));
+    seen_part(sphere, tile, [DVec2::ZERO, DVec2::ONE], eye)
+}
+
+/// A part of a tile between two corners, (0, 0) to (1, 1) for all of it, as seen from a point.
+fn seen_part(sphere: &ProxySphere, tile: TileKey, corners: [DVec2; 2], eye: DVec3) -> SeenTile {
+    let [low, high] = corners;
+    let middle = sphere.point(tile.direction(0.5 * (low + high)));
     let axis = (middle - eye).normalize_or_zero();
     let mut half_angle_rad: f64 = 0.0;
     // The middle of a tile at the horizon may be on the other side of the planet.
@@ -184,7 +197,7 @@ fn seen_tile(sphere: &ProxySphere, tile: TileKey, eye: DVec3) -> SeenTile {
     let mut directions = [DVec3::ZERO; PLACES];
     for (index, pair) in directions.chunks_exact_mut(2).enumerate() {
         let within = DVec2::new((index % 3) as f64, (index / 3) as f64) / 2.0;
-        let point = sphere.point(tile.direction(within));
+        let point = sphere.point(tile.direction(low + (high - low) * within));
         half_angle_rad = half_angle_rad.max(axis.angle_between((point - eye).normalize_or_zero()));
         for (direction, seen) in pair.iter_mut().zip(sphere.seen_at(point)) {
             let from_eye = seen - eye;
@@ -280,6 +293,8 @@ pub struct TileRequest {
     pub eccentricity_rad: f64,
     /// Distance of the tile's nearest part from the viewer, m.
     pub distance_m: f64,
+    /// Share of the picture that it would cover if all of it were inside, 0 to 1; 0 where nobody looks at it.
+    pub screen_share: f64,
 }
 
 /// The tiles that a viewer needs of one sphere, none twice, none covering another.
@@ -292,6 +307,8 @@ pub fn requested_tiles(
     let planes = view.planes();
     let visible = Visible::of(sphere, view.position);
     let allowed = TEXELS_PER_PIXEL_MAX * mip_bias.exp2();
+    let picture_pixels =
+        4.0 * view.right.length() * view.up.length() / view.pixel_angle_rad.powi(2);
     let mut requests = Vec::new();
     let mut open: Vec<TileKey> = TileKey::all_of(0).collect();
     while let Some(tile) = open.pop() {
@@ -310,10 +327,32 @@ pub fn requested_tiles(
                 key: tile,
                 eccentricity_rad: seen.axis.angle_between(view.forward),
                 distance_m: seen.distance_m,
+                screen_share: (TILE_PIXELS * texel_sr / pixel_sr / picture_pixels).min(1.0),
             });
         }
     }
     requests
+}
+
+/// Which blocks of 8 × 8 stored texels of a tile a viewer may see, or reads beside what it sees: bit 8 y + x. A picture's edge
+/// crosses tiles, and what of them lies outside is marched for nobody.
+#[must_use]
+pub fn seen_blocks(view: &ViewFrustum, sphere: &ProxySphere, tile: TileKey) -> u64 {
+    let planes = view.planes();
+    let visible = Visible::of(sphere, view.position);
+    let along = |block: u32, texels: i32| {
+        let stored = (block * BLOCK) as i32 + texels - GUTTER as i32;
+        f64::from(stored) / f64::from(TILE_INTERIOR)
+    };
+    let mut seen = 0;
+    for (y, x) in (0..BLOCKS).flat_map(|y| (0..BLOCKS).map(move |x| (y, x))) {
+        // A read reaches as far as a gutter is wide.
+        let ends = [-(GUTTER as i32), (BLOCK + GUTTER) as i32];
+        let corners = ends.map(|end| DVec2::new(along(x, end), along(y, end)));
+        let part = seen_part(sphere, tile, corners, view.position);
+        seen |= u64::from(may_be_seen(&part, &planes, &visible)) << (BLOCKS * y + x);
+    }
+    seen
 }
 
 /// The tiles of the coarsest level that can be seen from a point in any direction.
@@ -327,6 +366,7 @@ pub fn coarse_tiles(sphere: &ProxySphere, eye: DVec3) -> Vec<TileRequest> {
                 key,
                 eccentricity_rad: std::f64::consts::FRAC_PI_2 - seen.axis.y.clamp(-1.0, 1.0).asin(),
                 distance_m: seen.distance_m,
+                screen_share: 0.0,
             })
         })
         .collect()

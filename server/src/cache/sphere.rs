@@ -2,7 +2,7 @@
 
 mod resampled;
 
-use super::address::TileKey;
+use super::address::{LEVELS, TileKey};
 use super::pool::Slot;
 use super::requests::TileRequest;
 use glam::DVec3;
@@ -104,6 +104,16 @@ pub struct Want {
     pub eccentricity_rad: f64,
     /// Distance of the nearest of what it shows, m.
     pub distance_m: f64,
+    /// How much it is seen: the sum of its shares of pictures, those in their middles counting most.
+    pub attention: f64,
+}
+
+/// At this angle from the middle of a picture, rad, a tile is looked at half as much.
+const ATTENTION_RAD: f64 = 0.35;
+
+/// How much a tile is seen by the viewer who asks for it.
+fn attention(request: &TileRequest) -> f64 {
+    request.screen_share / (1.0 + (request.eccentricity_rad / ATTENTION_RAD).powi(2))
 }
 
 impl Want {
@@ -148,16 +158,20 @@ pub(super) struct Candidate {
     samples: u32,
     /// Steps that it is behind a sky and a reference that move.
     behind: u32,
+    attention: f64,
     eccentricity_rad: f64,
+    /// Samples that it still takes, with this one.
+    pub(super) owed: u32,
 }
 
 impl Candidate {
-    /// Order of updates: urgency, then fewest samples, then farthest behind the sky, then nearest to the middle of a
-    /// picture.
+    /// Order of updates: urgency, then fewest samples, then farthest behind the sky, then what is seen most, then nearest to
+    /// the middle of a picture.
     pub(super) fn rank(&self, other: &Self) -> std::cmp::Ordering {
         (self.urgency, self.samples)
             .cmp(&(other.urgency, other.samples))
             .then(other.behind.cmp(&self.behind))
+            .then(other.attention.total_cmp(&self.attention))
             .then(self.eccentricity_rad.total_cmp(&other.eccentricity_rad))
             .then(self.key.cmp(&other.key))
     }
@@ -193,6 +207,8 @@ pub struct SphereCache {
     moved: f64,
     /// Samples that texels average, if not as many as those of all spheres.
     samples: Option<u32>,
+    /// While it ages all the time, a tile is marched again when it is so many times as far behind as it may be; below 1 is 1.
+    age_factor: f64,
     /// Whether tables must be made anew.
     tables_changed: bool,
 }
@@ -246,6 +262,11 @@ impl SphereCache {
         self.samples
     }
 
+    /// While the sky or the reference moves, tiles may be so many times as far behind before they are marched again.
+    pub fn set_age_factor(&mut self, age_factor: f64) {
+        self.age_factor = age_factor;
+    }
+
     /// Replaces what viewers want by the union of their requests and the coarse level.
     pub fn set_wanted<'a>(
         &mut self,
@@ -260,6 +281,7 @@ impl SphereCache {
                     viewers: 0,
                     eccentricity_rad: request.eccentricity_rad,
                     distance_m: request.distance_m,
+                    attention: 0.0,
                 },
             );
         }
@@ -268,9 +290,17 @@ impl SphereCache {
                 viewers: 0,
                 eccentricity_rad: f64::INFINITY,
                 distance_m: request.distance_m,
+                attention: 0.0,
             });
             want.viewers += 1;
             want.eccentricity_rad = want.eccentricity_rad.min(request.eccentricity_rad);
+            want.attention += attention(request);
+            // What stands for it until it is there is seen as much.
+            if request.key.level > 0
+                && let Some(coarse) = self.wanted.get_mut(&request.key.coarser(LEVELS))
+            {
+                coarse.attention += attention(request);
+            }
         }
     }
 
@@ -378,7 +408,16 @@ impl SphereCache {
         is_calm: bool,
         into: &mut Vec<Candidate>,
     ) {
-        let age_max = if self.drifts { AGE_DRIFTING } else { AGE_REST };
+        let age_max = if self.drifts {
+            AGE_DRIFTING * self.age_factor.max(1.0)
+        } else {
+            AGE_REST
+        };
+        let lasts = if is_calm {
+            1.0
+        } else {
+            self.age_factor.max(1.0)
+        };
         for (key, want) in &self.wanted {
             let coarse = key.level == 0;
             let tile = self.tiles.get(key);
@@ -396,7 +435,7 @@ impl SphereCache {
                 Some(_) if have < samples => Urgency::Unfinished,
                 Some(tile) if tile.resampled || tile.refreshes != self.refreshes => Urgency::Aged,
                 Some(_) if age > age_max => Urgency::Aged,
-                Some(_) if behind > behind_max(is_calm, want) => Urgency::Aged,
+                Some(_) if behind > behind_max(is_calm, want) * lasts => Urgency::Aged,
                 Some(_) => continue,
             };
             into.push(Candidate {
@@ -404,7 +443,9 @@ impl SphereCache {
                 urgency,
                 samples: have,
                 behind: (behind + age).min(f64::from(u32::MAX)) as u32,
+                attention: want.attention,
                 eccentricity_rad: want.eccentricity_rad,
+                owed: samples.saturating_sub(have).max(1),
             });
         }
     }
@@ -535,13 +576,11 @@ impl SphereCache {
         self.tiles.drain().map(|(_, tile)| tile.slot).collect()
     }
 
-    /// Whether a tile may go: neither wanted nor seen for `unseen_frames`.
-    pub(super) fn evictable(&self, frame: u64, unseen_frames: u64) -> Vec<(u64, TileKey)> {
+    /// The tiles that may go, because nobody wants them, and when they were seen last.
+    pub(super) fn evictable(&self) -> Vec<(u64, TileKey)> {
         self.tiles
             .iter()
-            .filter(|(key, tile)| {
-                !self.wanted.contains_key(key) && tile.last_seen_frame + unseen_frames <= frame
-            })
+            .filter(|(key, _)| !self.wanted.contains_key(key))
             .map(|(key, tile)| (tile.last_seen_frame, *key))
             .collect()
     }

@@ -12,6 +12,7 @@ fn request(key: TileKey) -> TileRequest {
         key,
         eccentricity_rad: 0.1,
         distance_m: 3_000.0,
+        screen_share: 0.1,
     }
 }
 
@@ -219,22 +220,88 @@ fn counts_of_samples_may_go_round() {
 }
 
 #[test]
-fn tiles_unseen_for_twenty_frames_give_their_slots_to_others_and_seen_ones_do_not() {
-    let mut caches = Caches::new(2, 1);
-    let first = [request(tile(1, 0, 0)), request(tile(1, 1, 0))];
-    caches.sphere_mut(SPHERE).set_wanted(&[], &first);
-    assert_eq!(caches.plan(9, at_origin).len(), 2);
-    caches.frame_shown(SPHERE.cell);
-    let second = [request(tile(1, 2, 0))];
-    caches.sphere_mut(SPHERE).set_wanted(&[], &second);
-    for _ in 0..UNSEEN_FRAMES - 1 {
+fn a_wanted_tile_gets_the_slot_of_the_one_unseen_for_longest_and_wanted_ones_keep_theirs() {
+    let mut caches = Caches::new(3, 1);
+    let look_at = |caches: &mut Caches, xs: &[u16]| {
+        let tiles: Vec<_> = xs.iter().map(|x| request(tile(1, *x, 0))).collect();
+        caches.sphere_mut(SPHERE).set_wanted(&[], &tiles);
+        let updates = caches.plan(9, at_origin);
         caches.frame_shown(SPHERE.cell);
-        assert!(caches.plan(9, at_origin).is_empty(), "evicted too early");
-    }
-    caches.frame_shown(SPHERE.cell);
-    assert_eq!(caches.plan(9, at_origin).len(), 1);
+        updates.len()
+    };
+    let holds = |caches: &Caches, x: u16| {
+        let sphere = caches.sphere(SPHERE).expect("there");
+        sphere.tiles.contains_key(&tile(1, x, 0))
+    };
+    assert_eq!(look_at(&mut caches, &[0]), 1);
+    assert_eq!(look_at(&mut caches, &[1]), 1);
+    assert_eq!(look_at(&mut caches, &[2]), 1);
+    // Nobody looks at 0 and 1 any more; 0 was seen first.
+    assert_eq!(look_at(&mut caches, &[2, 3]), 1);
+    assert_eq!(
+        [0, 1, 2, 3].map(|x| holds(&caches, x)),
+        [false, true, true, true]
+    );
     assert_eq!(caches.evicted(), 1);
-    assert_eq!(caches.resident(), 2);
+    // More than there is room for, which budgets see to that it is not asked for.
+    assert_eq!(look_at(&mut caches, &[2, 3, 4, 5]), 1);
+    assert_eq!(caches.refused(), 1);
+    assert!(holds(&caches, 2) && holds(&caches, 3));
+    assert_eq!(caches.resident(), 3);
+}
+
+#[test]
+fn a_cell_at_its_limit_replaces_its_own_tiles_and_no_others() {
+    let other = SphereId {
+        cell: CellId(2),
+        ..SPHERE
+    };
+    let mut caches = Caches::new(100, 1);
+    caches.set_cell_tiles_max(4);
+    let tiles = |from: u16, count: u16| -> Vec<TileRequest> {
+        (from..from + count)
+            .map(|x| request(tile(2, x, 0)))
+            .collect()
+    };
+    caches.sphere_mut(other).set_wanted(&[], &tiles(0, 3));
+    for from in [0, 4, 8] {
+        caches.sphere_mut(SPHERE).set_wanted(&[], &tiles(from, 4));
+        updates_until_converged(&mut caches);
+        let resident = |id| caches.sphere(id).map_or(0, SphereCache::resident);
+        assert_eq!([SPHERE, other].map(resident), [4, 3]);
+    }
+    assert_eq!((caches.evicted(), caches.refused()), (8, 0));
+}
+
+#[test]
+fn what_is_seen_most_is_marched_first_and_the_coarse_level_under_it_before() {
+    let mut caches = Caches::new(100, 1);
+    let at = |x: u16, eccentricity_rad: f64, screen_share: f64| TileRequest {
+        eccentricity_rad,
+        screen_share,
+        ..request(tile(1, x, 0))
+    };
+    let coarse: Vec<TileRequest> = (0..5)
+        .map(|x| TileRequest {
+            screen_share: 0.0,
+            ..request(tile(0, x, 0))
+        })
+        .collect();
+    // 2: in the middle of a picture; 9: as near, of three pictures; 6: at a rim; 7: at a rim, larger.
+    let [middle, of_three] = [at(2, 0.05, 0.1), at(9, 0.05, 0.1)];
+    let rims = [at(6, 0.5, 0.1), at(7, 0.5, 0.2)];
+    let asked = [middle, of_three, of_three, of_three, rims[0], rims[1]];
+    caches.sphere_mut(SPHERE).set_wanted(&coarse, &asked);
+    let order: Vec<TileKey> = std::iter::repeat_with(|| caches.plan(1, at_origin))
+        .map_while(|updates| Some(updates.first()?.key))
+        .collect();
+    let xs = |level: u8| -> Vec<u16> {
+        let of_level = order.iter().filter(|key| key.level == level);
+        of_level.map(|key| key.x).collect()
+    };
+    assert_eq!(xs(1), [9, 2, 7, 6]);
+    assert_eq!(xs(0), [4, 3, 1, 0, 2]);
+    assert!(order[..5].iter().all(|key| key.level == 0), "{order:?}");
 }
 
 #[test]

@@ -42,6 +42,7 @@ impl Cells {
             return Vec::new();
         }
         self.restless = false;
+        self.part_from_jumpers();
         self.note_speeds(passed_s);
         self.fill_placed();
         self.follow(passed_s);
@@ -57,6 +58,28 @@ impl Cells {
         self.restless |=
             !changes.is_empty() || self.places.values().any(|p| self.may_not_go_back(p));
         changes
+    }
+
+    /// Who has jumped beyond the limit leaves before the mean of the members is taken: nobody else is moved by that.
+    fn part_from_jumpers(&mut self) {
+        let limit = self.limit;
+        let has_jumped =
+            |place: &Place| limit.distance_m(place.grouped_m, place.position_m) > limit.radius_m();
+        let jumped = self.places.iter().filter(|(_, place)| has_jumped(place));
+        let jumped: Vec<(ViewerId, Place)> = jumped.map(|(id, place)| (*id, *place)).collect();
+        for (viewer, place) in jumped {
+            let Some(cell) = self.cells.get(&place.cell).filter(|cell| !cell.placed) else {
+                continue;
+            };
+            let is_near = limit.distance_m(cell.reference_m, place.position_m) <= limit.radius_m();
+            let stays = |member: &ViewerId| self.places.get(member).is_some_and(|p| !has_jumped(p));
+            if !is_near && cell.members.iter().any(stays) {
+                let to = self
+                    .nearest_formed(&place)
+                    .unwrap_or_else(|| self.form(place.position_m));
+                self.transfer(viewer, to);
+            }
+        }
     }
 
     /// How fast everybody moves.

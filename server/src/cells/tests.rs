@@ -368,3 +368,27 @@ fn nobody_shares_what_is_seen_from_the_other_side_of_a_layer() {
     }
     check(&cells, "another layer");
 }
+
+#[test]
+fn who_jumps_away_leaves_the_others_where_they_are() {
+    let mut cells = Cells::new(&[], CellLimit::default());
+    for viewer in 1..=3 {
+        cells.place(ViewerId(viewer), DVec3::new(0.0, 2.0, 0.0));
+    }
+    let [first, last] = [1, 3].map(ViewerId);
+    let home = cells.cell_of(last).expect("a cell");
+    cells.regroup(0.02);
+    // The first member, and then one of two.
+    for jumper in [first, ViewerId(2)] {
+        cells.place(jumper, DVec3::new(50_000.0, 2.0, 0.0));
+        cells.regroup(0.02);
+        assert_eq!(cells.cell_of(last), Some(home));
+        let reference_m = cells.get(home).expect("there").reference_m;
+        assert_eq!(reference_m, DVec3::new(0.0, 2.0, 0.0));
+    }
+    assert_eq!(cells.cell_of(first), cells.cell_of(ViewerId(2)));
+    // Who jumps alone, or all together, take their cell along.
+    cells.place(last, DVec3::new(-90_000.0, 2.0, 0.0));
+    cells.regroup(0.02);
+    assert_eq!(cells.cell_of(last), Some(home));
+}

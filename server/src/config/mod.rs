@@ -40,6 +40,10 @@ pub const MIP_BIAS: NumberRange = NumberRange::new(0.0, 4.0);
 pub const SAMPLES: NumberRange = NumberRange::new(1.0, 16.0);
 /// GPU memory for caches.
 pub const CACHE_MEMORY_MIB: NumberRange = NumberRange::new(16.0, 65_536.0);
+/// GPU memory for the caches of one cell: at least the coarse levels of four layers.
+pub const CELL_MEMORY_MIB: NumberRange = NumberRange::new(4.0, 65_536.0);
+/// Share of the time for marching while somebody moves or the sky does.
+pub const MARCH_SHARE: NumberRange = NumberRange::new(0.01, 1.0);
 /// Places of a search for what texels show.
 pub const PARALLAX_STEPS: NumberRange = NumberRange::new(0.0, PARALLAX_STEPS_MAX as f64);
 /// Slabs that a layer may be cut into.
@@ -83,6 +87,10 @@ pub struct RenderConfig {
     pub quality: Option<QualityChoice>,
     /// GPU memory for caches.
     pub cache_memory_mib: u32,
+    /// GPU memory for the caches of one cell. Without: as much as there is for all.
+    pub cell_memory_mib: Option<u32>,
+    /// Share of the time in which the device marches while somebody moves or the sky does, 0.01 to 1.
+    pub march_share: f32,
     /// Steps of the march through a layer's thickness. Without: what the quality says.
     pub march_steps: Option<u32>,
     /// How caches are read for a frame. Without: what the quality says.
@@ -134,6 +142,8 @@ impl RenderConfig {
             samples: None,
             quality: None,
             cache_memory_mib: 256,
+            cell_memory_mib: None,
+            march_share: 0.25,
             march_steps: None,
             frame_filter: None,
             parallax_steps: None,
@@ -151,6 +161,8 @@ impl RenderConfig {
             "samples",
             "quality",
             "cache_memory_mib",
+            "cell_memory_mib",
+            "march_share",
             "march_steps",
             "frame_filter",
             "parallax_steps",
@@ -177,6 +189,19 @@ impl RenderConfig {
                 CACHE_MEMORY_MIB,
                 default.cache_memory_mib,
             )?,
+            cell_memory_mib: match members.optional::<u32>("cell_memory_mib")? {
+                Some(memory_mib) => Some(
+                    CELL_MEMORY_MIB
+                        .check_u32(&members.pointer_of("cell_memory_mib"), memory_mib)?,
+                ),
+                None => default.cell_memory_mib,
+            },
+            march_share: number(
+                &members,
+                "march_share",
+                MARCH_SHARE,
+                f64::from(default.march_share),
+            )? as f32,
             march_steps: match members.optional::<u32>("march_steps")? {
                 Some(steps) => {
                     Some(MARCH_STEPS.check_u32(&members.pointer_of("march_steps"), steps)?)

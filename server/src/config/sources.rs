@@ -40,6 +40,8 @@ const KEYS: &[(&str, Kind)] = &[
     ("render/samples", Kind::Number),
     ("render/quality", Kind::JsonOrText),
     ("render/cache_memory_mib", Kind::Number),
+    ("render/cell_memory_mib", Kind::Number),
+    ("render/march_share", Kind::Number),
     ("render/march_steps", Kind::Number),
     ("render/frame_filter", Kind::Text),
     ("render/parallax_steps", Kind::Number),

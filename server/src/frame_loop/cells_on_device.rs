@@ -3,7 +3,9 @@
 use super::metering::Meter;
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
-use crate::cache::{Band, ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
+use crate::cache::{
+    Band, ProxySphere, SphereId, TileRequest, Wish, coarse_tiles, coarsened, requested_tiles,
+};
 use crate::composite::view_frustum;
 use crate::march::{
     ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, Side, scene_uniform,
@@ -36,6 +38,12 @@ const FOLLOW_TIME_S: f64 = 2.0;
 /// ... until it is so near, m.
 const ARRIVED_M: f64 = 20.0;
 
+/// Frames of a cell whose caches have just begun wait this long for the coarse level at most: no cloudless sky flashes.
+const COARSE_WAIT: Duration = Duration::from_millis(500);
+
+/// How often wishes are told the caches in a turn at most: as they are, counted, and as they fit.
+const TELLINGS_MAX: u32 = 3;
+
 /// Where a layer's addresses are centred: follows the layer's wind.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Anchor {
@@ -64,6 +72,12 @@ pub(super) struct ActiveCell {
     ages_written: Instant,
     /// Measures the light of the sky, where exposure follows it.
     pub(super) meter: Option<Meter>,
+    /// Tiles that its viewers ask for.
+    pub(super) wish: Wish,
+    /// Levels that it has lost because memory or time do not suffice.
+    pub(super) lost: u8,
+    /// Where rays started before the reference last moved.
+    pub(super) came_from_m: DVec3,
     /// The reference has stood still while it should have moved, and follows.
     is_late: bool,
     /// Of a cell that is shown as it was before it became another: which one, and its exposure.
@@ -75,6 +89,7 @@ impl ActiveCell {
     pub(super) fn take_over(&mut self, before: &mut Self) {
         self.settings = before.settings;
         self.samples = before.samples;
+        self.lost = before.lost;
         self.begun = before.begun;
         // Eyes stay used to the light.
         self.meter = before.meter.take();
@@ -90,6 +105,7 @@ impl ActiveCell {
     fn follow(&mut self, reference_m: DVec3, passed_s: f64, is_through_layer: bool) {
         // What was seen from the other side of a layer is of no use here.
         self.is_late &= !is_through_layer;
+        self.came_from_m = self.reference_m;
         self.is_late &= self.reference_m.distance(reference_m) > ARRIVED_M;
         if self.is_late {
             let share = 1.0 - (-passed_s / FOLLOW_TIME_S).exp();
@@ -114,9 +130,9 @@ pub(super) fn parallax_steps(
     active: &[ActiveLayer],
     domes: bool,
     viewer: &ActiveViewer,
+    camera: &Camera,
     cell: &ActiveCell,
 ) -> u32 {
-    let camera = &viewer.view.camera;
     let reference_m = cell.reference_m;
     let eye_m = DVec3::from_array(camera.position_m());
     // A dome keeps what was marched from about its anchor while the reference goes on.
@@ -168,6 +184,9 @@ impl SkyRenderer {
             looked_up: Instant::now(),
             ages_written: Instant::now(),
             meter: None,
+            wish: Wish::default(),
+            lost: 0,
+            came_from_m: reference_m,
             is_late: false,
             stands_for: None,
         }
@@ -349,12 +368,20 @@ impl SkyRenderer {
             }
         }
         // Among them what is still shown of those that have new anchors.
-        for id in ids(self) {
-            let Some(mut cell) = self.active_cells.remove(&id) else {
-                continue;
-            };
-            self.refresh_cell(id, &mut cell, windy);
-            self.active_cells.insert(id, cell);
+        let mut outdated = ids(self);
+        // Wishes are told; where they have to be counted or do not fit, they are told again.
+        for _ in 0..TELLINGS_MAX {
+            for id in std::mem::take(&mut outdated) {
+                let Some(mut cell) = self.active_cells.remove(&id) else {
+                    continue;
+                };
+                self.refresh_cell(id, &mut cell, windy);
+                self.active_cells.insert(id, cell);
+            }
+            outdated = self.fit_memory();
+            if outdated.is_empty() {
+                break;
+            }
         }
     }
 
@@ -443,7 +470,8 @@ impl SkyRenderer {
                 let (camera, size) = (viewer.view.camera, viewer.view.size);
                 let mip_bias = viewer.quality.settings.mip_bias;
                 let domes = self.kept_on.has_domes();
-                let steps = parallax_steps(&self.scene, &self.active, domes, viewer, cell);
+                let (scene, active) = (&self.scene, &self.active);
+                let steps = parallax_steps(scene, active, domes, viewer, &camera, cell);
                 // Who has jumped is shown what is there until the new cell has more.
                 let has_jumped = viewer.has_jumped_from(id);
                 let Some(requests) = viewer.requests_in(id) else {
@@ -473,13 +501,23 @@ impl SkyRenderer {
             }
             // Nobody who reads the cache: nobody who needs its coarse level.
             let used = !read.is_empty();
+            cell.wish = self.losses.wish_of(&cell.coarse, &read);
+            let rate = self.losses.rate();
             for (proxy, coarse) in cell.coarse.iter().enumerate() {
-                let requests = read.iter().filter_map(|r| r.get(proxy)).flatten();
+                let granted: Vec<TileRequest>;
+                let asked = read.iter().filter_map(|r| r.get(proxy));
+                let requests: Vec<&TileRequest> = if cell.lost == 0 {
+                    asked.flatten().collect()
+                } else {
+                    granted = asked.flat_map(|r| coarsened(r, cell.lost)).collect();
+                    granted.iter().collect()
+                };
                 let sphere = self.caches.sphere_mut(SphereId {
                     cell: id,
                     proxy: proxy as u32,
                 });
-                sphere.set_samples(cell.samples);
+                sphere.set_samples(rate.samples(cell.samples));
+                sphere.set_age_factor(rate.age_factor);
                 sphere.set_wanted(if used { coarse } else { &[] }, requests);
             }
             cell.requests_changed = false;
@@ -515,11 +553,13 @@ impl SkyRenderer {
         }
     }
 
-    /// How long a viewer's cell has had its caches.
-    pub(super) fn cell_age(&self, viewer: &ActiveViewer) -> Duration {
-        self.active_cells
-            .get(&viewer.cell)
-            .map_or(Duration::ZERO, |cell| cell.begun.elapsed())
+    /// Whether a frame waits for its cell's coarse level: the first ones of a viewer, or after another scene. Who comes from
+    /// elsewhere is shown that meanwhile.
+    pub(super) fn waits_for_tiles(&self, viewer: &ActiveViewer) -> bool {
+        let cell = self.active_cells.get(&viewer.cell);
+        viewer.transition.is_none()
+            && cell.is_none_or(|cell| cell.begun.elapsed() <= COARSE_WAIT)
+            && !self.coarse_is_ready(viewer.cell)
     }
 
     /// Whether the coarse level of a cell shows the present sky.
@@ -538,8 +578,9 @@ impl SkyRenderer {
         })
     }
 
-    /// Whether some tile that is asked for of a cell does not show the present sky yet.
+    /// Whether some tile that is asked for of a cell, as far as it is granted, does not show the present sky yet.
     pub(super) fn is_coarse(&self, cell: CellId, requests: &[Vec<TileRequest>]) -> bool {
+        let lost = self.levels_lost(cell);
         requests.iter().enumerate().any(|(proxy, tiles)| {
             let id = SphereId {
                 cell,
@@ -547,7 +588,7 @@ impl SkyRenderer {
             };
             self.caches
                 .sphere(id)
-                .is_none_or(|s| tiles.iter().any(|t| !s.shows_present(&t.key)))
+                .is_none_or(|s| tiles.iter().any(|t| !s.shows_present(&t.key.coarser(lost))))
         })
     }
 

@@ -61,7 +61,7 @@ pub(super) fn view(size: [u32; 2], camera: Camera) -> ViewRequest {
 
 impl Driven {
     pub(super) fn new(steps: u32, document: &Value, placed: &[PlacedCell]) -> Self {
-        Self::on(ProxySettings::default(), steps, document, placed)
+        Self::configured(steps, document, placed, |_| {})
     }
 
     /// With layers that are kept in a way of their own.
@@ -71,12 +71,22 @@ impl Driven {
         document: &Value,
         placed: &[PlacedCell],
     ) -> Self {
+        Self::configured(steps, document, placed, |config| config.proxies = proxies)
+    }
+
+    /// With a configuration of its own.
+    pub(super) fn configured(
+        steps: u32,
+        document: &Value,
+        placed: &[PlacedCell],
+        configure: impl FnOnce(&mut RenderConfig),
+    ) -> Self {
         let noise = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/noise-of-tests");
-        let config = RenderConfig {
+        let mut config = RenderConfig {
             march_steps: Some(steps),
-            proxies,
             ..RenderConfig::new(PathBuf::from(noise))
         };
+        configure(&mut config);
         let gpu = crate::gpu::Gpu::open_blocking().expect("a device");
         let renderer = SkyRenderer::new(gpu, config, scene_of(document), 1, placed);
         Self {
@@ -93,8 +103,13 @@ impl Driven {
 
     /// What happens between two frames.
     pub(super) fn turn(&mut self, passed_s: f64) {
+        self.renderer.march(TILES);
+        self.pass_time(passed_s);
+    }
+
+    /// The same without marching.
+    pub(super) fn pass_time(&mut self, passed_s: f64) {
         let renderer = &mut self.renderer;
-        renderer.march(TILES);
         renderer.advance_time(passed_s);
         renderer.regroup(passed_s);
         renderer.pass_transitions(passed_s);

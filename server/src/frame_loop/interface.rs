@@ -265,6 +265,8 @@ pub struct RenderStats {
     pub quality: QualityStats,
     /// Viewers on their way from one view cell to another.
     pub transitions: TransitionStats,
+    /// What is given up because memory or time do not suffice.
+    pub losses: LossStats,
     /// The view cells that exist.
     pub cells: Vec<CellStats>,
     /// The viewers that the loop knows.
@@ -324,6 +326,10 @@ pub struct RenderTotals {
     pub texels_audited: u64,
     /// Frames composited.
     pub frames_composited: u64,
+    /// First frames of viewers that waited for the coarse level, half a second at most.
+    pub first_frames_held: u64,
+    /// Further frames that waited for any tile.
+    pub frames_held: u64,
     /// Frames read back.
     pub frames_read_back: u64,
     /// GPU time of cache updates.
@@ -378,6 +384,37 @@ pub struct TransitionStats {
     pub swapped: u64,
 }
 
+/// What is given up because memory or the time for marching do not suffice. All is 0, and factors 1, where nothing is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct LossStats {
+    /// Tiles that all caches may hold.
+    pub tiles_max: u64,
+    /// Tiles that the caches of a cell may hold.
+    pub cell_tiles_max: u64,
+    /// Tiles that all cells would hold if nothing were given up; an upper bound while that is less than half of what fits.
+    pub tiles_wished: u64,
+    /// Tiles that they are to hold.
+    pub tiles_granted: u64,
+    /// How often a tile found no room because not even the coarse levels fit, since the start.
+    pub tiles_refused: u64,
+    /// Halvings of resolution, of the cell that has lost most.
+    pub levels_lost_most: u8,
+    /// How often losses for want of memory have changed, since the start.
+    pub memory_changes: u64,
+    /// How much is given up for want of time: 0 nothing, 1 turns, 2 and 3 samples, from 4 on resolution.
+    pub rate_step: u32,
+    /// Texels that age wait so many times as long for their turn.
+    pub age_factor: f64,
+    /// By this, samples of a texel are divided.
+    pub samples_divisor: u32,
+    /// Halvings of resolution of all cells.
+    pub levels_lost_to_time: u8,
+    /// How often that has changed, since the start.
+    pub rate_changes: u64,
+    /// How long the marches that wait take, at their share of the time.
+    pub backlog_s: f64,
+}
+
 /// A view cell.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct CellStats {
@@ -407,6 +444,12 @@ pub struct CellStats {
     pub texels_pending: u64,
     /// Tiles that are allocated.
     pub tiles_resident: u64,
+    /// Tiles that it would hold if nothing were given up; an upper bound where that is far from any limit.
+    pub tiles_wished: u64,
+    /// Halvings of resolution that it has lost because memory or time do not suffice.
+    pub levels_lost: u8,
+    /// Why; null where nothing is lost.
+    pub loss_note: Option<String>,
     /// GPU memory of its caches.
     pub bytes: u64,
     /// Nothing waits for an update.

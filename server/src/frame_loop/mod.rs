@@ -3,6 +3,7 @@
 
 mod auditing;
 mod awaited_scene;
+mod budgets;
 mod cells_on_device;
 mod domes_on_device;
 #[cfg(test)]

@@ -21,9 +21,6 @@ use std::time::{Duration, Instant};
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
 /// How long the loop sleeps when there is nothing to do; commands wake it.
 const IDLE_INTERVAL: Duration = Duration::from_secs(1);
-/// Share of the time in which the device marches while viewers move or the wind blows and frames wait for it: the rest
-/// is for composites, encoders and sockets.
-const MARCH_SHARE: f64 = 0.25;
 /// Time for marching that may be saved up, s: a burst no longer than a frame.
 const MARCH_CREDIT_MAX_S: f64 = 0.03;
 /// Device time of one batch while nobody waits for a frame, and the longest that one may delay a frame that becomes due.
@@ -35,8 +32,6 @@ const REFINE_INTERVAL: Duration = Duration::from_millis(200);
 const REFINE_SHARE: f64 = 0.2;
 /// A viewer that has moved within this time is moving.
 const MOVING_FOR: Duration = Duration::from_millis(500);
-/// Frames of a cell whose caches have just begun wait this long for the coarse level at most: no cloudless sky flashes.
-const COARSE_WAIT: Duration = Duration::from_millis(500);
 /// The sky must have moved this share of a pixel before a resting view is composited again.
 const MOTION_PIXELS: f64 = 0.25;
 /// Maps that are on their way to others take a step this often at most: steps of a slow change are not seen.
@@ -75,6 +70,8 @@ struct Pace {
     moved: Instant,
     composited: Option<Instant>,
     change: Change,
+    /// A frame is due and waits for tiles.
+    is_held: bool,
 }
 
 /// The render thread.
@@ -191,6 +188,7 @@ impl FrameLoop {
                     moved: now,
                     composited: None,
                     change: Change::Seen,
+                    is_held: false,
                 };
                 self.paces.insert(viewer, pace);
             }
@@ -240,11 +238,14 @@ impl FrameLoop {
         self.renderer.counters.ticks += 1;
         let passed = now.duration_since(self.time);
         self.time = now;
-        self.march_credit_s =
-            (self.march_credit_s + MARCH_SHARE * passed.as_secs_f64()).min(MARCH_CREDIT_MAX_S);
+        self.march_credit_s = (self.march_credit_s + self.march_share() * passed.as_secs_f64())
+            .min(MARCH_CREDIT_MAX_S);
         let shown = self.renderer.take_views();
         self.take_awaited_scene();
         self.follow_time(passed);
+        let is_hurried = self.hurried_fps(now) > 0.0;
+        self.renderer
+            .consider_rate(now, self.ns_per_tile * 1e-9, is_hurried);
         if self.paces.is_empty() {
             self.publish(now, true);
             return if self.renderer.in_flight() > 0 {
@@ -287,6 +288,7 @@ impl FrameLoop {
             }
         }
         self.renderer.refresh_cells();
+        self.note_held(now);
         let due = self.due_viewers(now);
         if !due.is_empty() {
             for viewer in self.renderer.composite(&due, &self.sink) {
@@ -408,13 +410,43 @@ impl FrameLoop {
                     viewer.kind == RendererKind::Cached
                         && viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX
                         && self.due_at(pace).is_some_and(|due| due <= now)
-                        && (viewer.transition.is_some()
-                            || self.renderer.cell_age(viewer) > COARSE_WAIT
-                            || self.renderer.coarse_is_ready(viewer.cell))
+                        && !self.renderer.waits_for_tiles(viewer)
                 })
             })
             .map(|(id, _)| *id)
             .collect()
+    }
+
+    /// Counts the frames that are due and wait for tiles.
+    fn note_held(&mut self, now: Instant) {
+        let mut held = Vec::new();
+        for (id, pace) in &self.paces {
+            let is_due = self.due_at(pace).is_some_and(|due| due <= now);
+            let viewer = self.renderer.viewers.get(id);
+            let waits = |viewer: &&ActiveViewer| {
+                viewer.kind == RendererKind::Cached && self.renderer.waits_for_tiles(viewer)
+            };
+            if is_due
+                && !pace.is_held
+                && let Some(viewer) = viewer.filter(waits)
+            {
+                held.push((*id, viewer.frames_composited == 0));
+            }
+        }
+        for (id, is_first) in held {
+            if let Some(pace) = self.paces.get_mut(&id) {
+                pace.is_held = true;
+            }
+            let counters = &mut self.renderer.counters;
+            counters.first_frames_held += u64::from(is_first);
+            counters.frames_held += u64::from(!is_first);
+        }
+    }
+
+    /// Share of the time in which the device marches while viewers move or the wind blows and frames wait for it: the rest
+    /// is for composites, encoders and sockets.
+    fn march_share(&self) -> f64 {
+        f64::from(self.renderer.config.march_share)
     }
 
     fn due_at(&self, pace: &Pace) -> Option<Instant> {
@@ -453,6 +485,7 @@ impl FrameLoop {
                 now + interval
             };
             pace.composited = Some(now);
+            pace.is_held = false;
             // Two cells that are mixed are another picture in every frame.
             pace.change = if viewer.fades() {
                 Change::Seen
@@ -476,7 +509,7 @@ impl FrameLoop {
         }
         let hurried_fps = self.hurried_fps(now);
         let budget = if hurried_fps > 0.0 {
-            RESTING_BATCH.min(Duration::from_secs_f64(MARCH_SHARE / hurried_fps))
+            RESTING_BATCH.min(Duration::from_secs_f64(self.march_share() / hurried_fps))
         } else {
             RESTING_BATCH
         };

@@ -231,11 +231,12 @@ impl SkyRenderer {
     }
 
     /// Whether some tile of what a viewer is shown does not show the present sky yet.
-    fn shows_coarse(&self, viewer: &ActiveViewer) -> bool {
+    pub(super) fn shows_coarse(&self, viewer: &ActiveViewer) -> bool {
         let is_coarse = |cell, requests: &[Vec<TileRequest>]| {
             viewer.looks_at(cell) && self.is_coarse(cell, requests)
         };
-        is_coarse(viewer.cell, &viewer.requests)
+        viewer.is_shown_elsewhere()
+            || is_coarse(viewer.cell, &viewer.requests)
             || viewer
                 .transition
                 .as_ref()

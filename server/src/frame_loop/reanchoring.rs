@@ -92,7 +92,9 @@ impl SkyRenderer {
     /// ones. Where there is nothing that is worth keeping, its caches start anew.
     pub(super) fn reanchor_cell(&mut self, id: CellId) {
         if !self.can_be_resampled(id) {
-            self.restart_cell(id);
+            if !self.leave_behind(id) {
+                self.restart_cell(id);
+            }
             return;
         }
         let Some(mut old) = self.active_cells.remove(&id) else {
@@ -110,18 +112,10 @@ impl SkyRenderer {
         let stand_in = if self.kept_on.follows() {
             None
         } else {
-            self.keep_for_viewers(id)
+            self.keep_for_viewers(id, false)
         };
-        // What was marched since the last frame is read, too.
+        self.show_all_marched(id, &mut old);
         let proxies = 0..self.proxies.len() as u32;
-        let tables: Vec<_> = proxies
-            .clone()
-            .map(|proxy| {
-                let sphere = self.caches.sphere_mut(SphereId { cell: id, proxy });
-                sphere.page_tables(None)
-            })
-            .collect();
-        old.buffers.set_tables(&self.gpu, &tables);
         let mut spheres = self.caches.take_spheres(id);
         // Asks for what is wanted about the new anchors.
         self.refresh_cell(id, &mut cell, self.wind_speed_max_m_per_s() > 0.0);
@@ -142,6 +136,54 @@ impl SkyRenderer {
         }
         self.audit.tiles_changed();
         self.active_cells.insert(id, cell);
+    }
+
+    /// What was marched since the last frame is read, too.
+    fn show_all_marched(&mut self, id: CellId, cell: &mut ActiveCell) {
+        let proxies = 0..self.proxies.len() as u32;
+        let tables: Vec<_> = proxies
+            .map(|proxy| {
+                let sphere = self.caches.sphere_mut(SphereId { cell: id, proxy });
+                sphere.page_tables(None)
+            })
+            .collect();
+        cell.buffers.set_tables(&self.gpu, &tables);
+    }
+
+    /// A cell has jumped with all who are in it: they go on seeing it as from where they were, until there is a coarse sky at its
+    /// new place. So no frame waits, and none is without clouds. False where it has nothing to show, or nobody looks.
+    fn leave_behind(&mut self, id: CellId) -> bool {
+        let mut proxies = 0..self.proxies.len() as u32;
+        let is_shown = !self.proxies.is_empty()
+            && proxies.all(|proxy| {
+                let sphere = self.caches.sphere(SphereId { cell: id, proxy });
+                sphere.is_some_and(SphereCache::coarse_is_shown)
+            });
+        if !is_shown {
+            return false;
+        }
+        let Some(mut old) = self.active_cells.remove(&id) else {
+            return false;
+        };
+        let Some(stand_in) = self.keep_for_viewers(id, true) else {
+            self.active_cells.insert(id, old);
+            return false;
+        };
+        let mut cell = self.new_active_cell(old.reference_m);
+        let exposure_ev = old.auto_exposure_ev();
+        // Eyes stay used to the light.
+        cell.meter = old.meter.take();
+        self.show_all_marched(id, &mut old);
+        for (proxy, sphere) in self.caches.take_spheres(id) {
+            let cell = stand_in;
+            self.caches.put(SphereId { cell, proxy }, sphere);
+        }
+        old.reference_m = old.came_from_m;
+        old.stand_for(id, exposure_ev);
+        self.active_cells.insert(stand_in, old);
+        self.active_cells.insert(id, cell);
+        self.audit.restart();
+        true
     }
 
     /// Whether the coarse level of every proxy is there and shows what is seen from about where the reference is now: after a

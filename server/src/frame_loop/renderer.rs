@@ -3,6 +3,7 @@
 
 use super::auditing::Audit;
 use super::awaited_scene::AwaitedScene;
+use super::budgets::Losses;
 use super::cells_on_device::ActiveCell;
 use super::interface::{RenderStats, ViewRequest};
 use super::light_shafts::CellShafts;
@@ -58,6 +59,8 @@ pub(super) struct Counters {
     pub(super) tiles_resampled: u64,
     pub(super) texels_audited: u64,
     pub(super) frames_composited: u64,
+    pub(super) first_frames_held: u64,
+    pub(super) frames_held: u64,
     pub(super) screen_space_marches: u64,
     pub(super) transitions: TransitionCounters,
     pub(super) frames_read_back: Arc<AtomicU64>,
@@ -78,6 +81,8 @@ pub(super) struct SkyRenderer {
     pub(super) sun: SunVolumes,
     pub(super) cells: Cells,
     pub(super) config: RenderConfig,
+    /// What is given up for want of memory or time.
+    pub(super) losses: Losses,
     /// What is asked for, and what is picked.
     pub(super) qualities: Qualities,
     /// Of single pictures; viewers have their own.
@@ -131,16 +136,24 @@ impl SkyRenderer {
         let store = FieldStore::new(Some(config.noise_cache_dir.clone()));
         let field = FieldTextures::new(&gpu, &pipelines.field_layout, store);
         let tile_bytes = TEXELS_PER_TILE * BYTES_PER_TEXEL;
-        let tiles_max = (u64::from(config.cache_memory_mib) << 20) / tile_bytes;
-        let tiles_max = tiles_max.clamp(32, u64::from(Atlas::tiles_max(&gpu))) as u32;
+        let tiles_of = |memory_mib: u32| {
+            let tiles = (u64::from(memory_mib) << 20) / tile_bytes;
+            tiles.clamp(32, u64::from(Atlas::tiles_max(&gpu))) as u32
+        };
+        let mut caches = Caches::new(tiles_of(config.cache_memory_mib), 1);
+        if let Some(memory_mib) = config.cell_memory_mib {
+            caches.set_cell_tiles_max(tiles_of(memory_mib));
+        }
         let qualities = Qualities::new(&config, gpu.is_software());
         let base = qualities.default_settings();
+        caches.set_samples(base.samples);
         let mut renderer = Self {
             atlas: Atlas::new(&gpu),
             texel_march: TexelMarch::new(&gpu),
             audit: Audit::new(&gpu, &pipelines),
             timing: TimingRing::new(&gpu),
-            caches: Caches::new(tiles_max, base.samples),
+            caches,
+            losses: Losses::default(),
             sun: SunVolumes::default(),
             cells: Cells::new(placed, CellLimit::default()),
             light: sky_light(&scene, None, 0.0),

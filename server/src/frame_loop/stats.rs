@@ -38,6 +38,8 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
             tiles_evicted: renderer.caches.evicted(),
             texels_audited: counters.texels_audited,
             frames_composited: counters.frames_composited,
+            first_frames_held: counters.first_frames_held,
+            frames_held: counters.frames_held,
             frames_read_back: renderer.frames_read_back(),
             gpu_cache_ns: renderer.gpu_time(TimedPass::Cache).0,
             gpu_resample_ns: renderer.gpu_time(TimedPass::Resample).0,
@@ -64,6 +66,7 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
         },
         quality: renderer.scene_quality_stats(),
         transitions: renderer.transition_stats(),
+        losses: renderer.loss_stats(),
         cells: renderer
             .cells
             .iter()
@@ -108,7 +111,9 @@ fn cell_stats(renderer: &SkyRenderer, id: CellId) -> CellStats {
         ..CellStats::default()
     };
     if let Some(active) = renderer.active_cells.get(&id) {
-        (stats.march_steps, stats.samples) = (active.settings.steps, active.samples);
+        stats.march_steps = active.settings.steps;
+        stats.samples = renderer.losses.rate().samples(active.samples);
+        (stats.tiles_wished, stats.levels_lost) = (active.wish.tiles(0), active.lost);
         stats.auto_exposure_ev = active.auto_exposure_ev();
     }
     if let Some((drift, _)) = renderer.cell_drift(id) {
@@ -123,6 +128,7 @@ fn cell_stats(renderer: &SkyRenderer, id: CellId) -> CellStats {
             sphere.pending_samples(renderer.caches.samples_of(sphere)) * TEXELS_PER_TILE;
         stats.tiles_resident += sphere.resident() as u64;
     }
+    stats.loss_note = renderer.loss_note(id);
     stats.bytes = stats.tiles_resident * TEXELS_PER_TILE * BYTES_PER_TEXEL;
     stats.overlap = overlap(
         cell.members.len(),

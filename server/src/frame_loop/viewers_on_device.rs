@@ -6,7 +6,7 @@ use super::qualities::ViewerQuality;
 use super::renderer::SkyRenderer;
 use super::screen_space::ScreenSpaceJob;
 use super::transitions::Transition;
-use crate::cache::{TEXELS_PER_TILE, TileRequest};
+use crate::cache::{LEVELS, TEXELS_PER_TILE, TileRequest};
 use crate::composite::{Picture, dither_shift, view_frustum, view_uniform};
 use crate::gpu::ReadbackRing;
 use skycell_protocol::{Camera, CellId, InputSequence, RendererKind, ViewerId};
@@ -224,14 +224,23 @@ impl SkyRenderer {
         cell: CellId,
         requests: &[Vec<TileRequest>],
     ) -> Option<layout::View> {
+        let camera = viewer.camera_in(cell);
+        let is_left = viewer.has_jumped_from(cell);
         let cell = self.active_cells.get(&cell)?;
-        let frustum = view_frustum(&viewer.view.camera, viewer.view.size, &cell.frame);
+        let frustum = view_frustum(&camera, viewer.view.size, &cell.frame);
         let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
         view.dither_shift = dither_shift(viewer.view.codec);
         let domes = self.kept_on.has_domes();
-        view.parallax_steps = parallax_steps(&self.scene, &self.active, domes, viewer, cell);
+        let (scene, active) = (&self.scene, &self.active);
+        view.parallax_steps = parallax_steps(scene, active, domes, viewer, &camera, cell);
         for (proxy, requests) in requests.iter().enumerate().take(view.tables.len()) {
             let finest = requests.iter().map(|r| r.key.level).max().unwrap_or(0);
+            let finest = if is_left {
+                // Nothing is asked for any more; what is there is shown.
+                LEVELS - 1
+            } else {
+                finest.saturating_sub(cell.lost)
+            };
             view.tables[proxy] = cell.buffers.table(proxy, finest);
         }
         Some(view)

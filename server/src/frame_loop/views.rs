@@ -82,12 +82,15 @@ impl SkyRenderer {
         cell: CellId,
         composite: PipelineKey,
     ) -> PipelineKey {
-        let cell = self.active_cells.get(&cell);
-        let Some(cell) = cell.filter(|_| viewer.kind == RendererKind::Cached) else {
+        let on_device = self.active_cells.get(&cell);
+        let Some(on_device) = on_device.filter(|_| viewer.kind == RendererKind::Cached) else {
             return composite;
         };
         let domes = self.kept_on.has_domes();
-        let composite = if parallax_steps(&self.scene, &self.active, domes, viewer, cell) > 0 {
+        let (scene, active) = (&self.scene, &self.active);
+        let camera = viewer.camera_in(cell);
+        let steps = parallax_steps(scene, active, domes, viewer, &camera, on_device);
+        let composite = if steps > 0 {
             with_parallax(composite)
         } else {
             composite

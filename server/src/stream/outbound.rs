@@ -197,5 +197,6 @@ fn status_of(
         renderer: known.map(|known| known.renderer),
         renderer_note: known.and_then(|known| known.renderer_note.map(str::to_owned)),
         show_note: known.and_then(|known| known.show_note.map(str::to_owned)),
+        loss_note: figures.and_then(|cell| cell.loss_note.clone()),
     }
 }

@@ -16,6 +16,7 @@ impl SphereCache {
             reference: self.reference,
             moved: self.moved,
             samples: self.samples,
+            age_factor: self.age_factor,
             tables_changed: true,
             ..Self::default()
         }
@@ -173,6 +174,7 @@ mod tests {
             key,
             eccentricity_rad: 0.1,
             distance_m: 2_000.0,
+            screen_share: 0.1,
         }
     }
 

@@ -129,7 +129,8 @@ fn a_cell_with_new_anchors_shows_what_it_showed_and_marches_nothing_for_that() {
     println!(
         "started anew: FLIP {flip_first:.4} two frames later, {marched} tile updates until it is whole"
     );
-    assert!(flip_first > 0.1);
+    // Half again as much as any of the others may be off.
+    assert!(flip_first > 1.5 * 0.05);
 }
 
 #[test]

@@ -44,6 +44,9 @@ pub(super) struct Transition {
     pub(super) fade: Option<PictureFade>,
     /// The camera when time last passed.
     camera: Camera,
+    /// Where a viewer who has jumped stood before: from there it is shown the old cell, whose clouds would look torn from where
+    /// it is now.
+    seen_from_m: Option<[f64; 3]>,
 }
 
 impl Transition {
@@ -90,6 +93,24 @@ impl ActiveViewer {
             .as_mut()
             .filter(|transition| transition.from == cell)
             .map(|transition| &mut transition.requests)
+    }
+
+    /// The camera from which it is shown a cell: its own, but for the cell that it left by a jump.
+    pub(super) fn camera_in(&self, cell: CellId) -> Camera {
+        let camera = self.view.camera;
+        let left = self.transition.as_ref().filter(|t| t.from == cell);
+        let Some(from_m) = left.and_then(|transition| transition.seen_from_m) else {
+            return camera;
+        };
+        let (yaw_deg, pitch_deg) = (camera.yaw_deg(), camera.pitch_deg());
+        Camera::new(from_m, yaw_deg, pitch_deg, camera.vertical_fov_deg()).unwrap_or(camera)
+    }
+
+    /// Whether what it is shown is of where it was before a jump.
+    pub(super) fn is_shown_elsewhere(&self) -> bool {
+        self.transition
+            .as_ref()
+            .is_some_and(|t| t.way.stage() == Stage::Waits && t.way.has_jumped())
     }
 
     /// Whether it looks at a cell from so far away by now that nothing is marched for that.
@@ -148,6 +169,7 @@ impl SkyRenderer {
                             way: Way::new(self.apart_rad(left, target)),
                             fade: None,
                             camera: viewer.shown_camera,
+                            seen_from_m: None,
                         });
                     } else {
                         self.counters.transitions.swapped += u64::from(is_shown);
@@ -202,8 +224,8 @@ impl SkyRenderer {
     }
 
     /// Lets those who look at a cell go on seeing it under another number, which is returned, while the cell itself becomes
-    /// another, and then go on to that. None where nobody does.
-    pub(super) fn keep_for_viewers(&mut self, id: CellId) -> Option<CellId> {
+    /// another, and then go on to that. None where nobody does. If they have jumped with it, they see it from where they stood.
+    pub(super) fn keep_for_viewers(&mut self, id: CellId, has_jumped: bool) -> Option<CellId> {
         let mut room = VIEWERS_MAX.saturating_sub(self.viewers_in_transition());
         // Far from those of cells, which are counted up.
         let stand_in = CellId(u32::MAX - self.counters.transitions.stand_ins);
@@ -217,12 +239,18 @@ impl SkyRenderer {
                 }
                 None if is_in && room > 0 => {
                     room -= 1;
+                    let stood_m = viewer.shown_camera.position_m();
                     viewer.transition = Some(Transition {
                         from: stand_in,
                         requests: std::mem::take(&mut viewer.requests),
-                        way: Way::new(NEW_ANCHORS_RAD),
+                        way: if has_jumped {
+                            Way::of_a_jump(NEW_ANCHORS_RAD)
+                        } else {
+                            Way::new(NEW_ANCHORS_RAD)
+                        },
                         fade: None,
                         camera: viewer.shown_camera,
+                        seen_from_m: has_jumped.then_some(stood_m),
                     });
                     is_kept = true;
                 }
@@ -285,12 +313,14 @@ impl SkyRenderer {
         }
         let camera = viewer.view.camera;
         let motion = self.motion_between(&transition.camera, &camera);
+        let stood_m = transition.camera.position_m();
         transition.camera = camera;
         let was_jump = transition.way.has_jumped();
         transition
             .way
             .pass(passed_s, motion, self.readiness(viewer));
         if transition.way.has_jumped() && !was_jump {
+            transition.seen_from_m = Some(stood_m);
             transition.requests.clear();
             self.change_requests(transition.from);
         }

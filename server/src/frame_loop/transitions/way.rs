@@ -77,6 +77,14 @@ impl Way {
         }
     }
 
+    /// The same after a jump: what was seen before is shown until there is anything else.
+    pub(super) fn of_a_jump(apart_rad: f64) -> Self {
+        Self {
+            jumped: true,
+            ..Self::new(apart_rad)
+        }
+    }
+
     pub(in crate::frame_loop) fn stage(&self) -> Stage {
         self.stage
     }

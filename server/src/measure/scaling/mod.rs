@@ -1,8 +1,9 @@
 //! `skycell-server measure scaling`: what many viewers cost.
 //!
 //! `crowds` moves cameras about without a device, `tiles` drives the caches' bookkeeping for them; `views` renders viewers at
-//! one place; `page` shows both.
+//! one place, `counts` tells what they ask for without rendering; `page` shows crowds and views.
 
+pub mod counts;
 pub mod crowds;
 mod page;
 pub mod tiles;
@@ -26,7 +27,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 use tiles::TileSetup;
-use views::{RingOutcome, RingSetup};
+use views::{HORIZONTAL_FOV_MAX_DEG, RingOutcome, RingSetup};
 
 /// GPU memory for the cache: sixteen pictures of 1920×1080 at full resolution side by side.
 const CACHE_MEMORY_MIB: u32 = 3072;
@@ -49,7 +50,7 @@ pub struct ScalingArguments {
     /// Small crowds for half a minute, few and small pictures: a minute on two cores.
     #[arg(long)]
     pub quick: bool,
-    /// Only these parts; both without.
+    /// Only these parts; crowds and rings without. `counts` stands alone.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "PART,...")]
     pub only: Vec<Part>,
     /// Viewers of crowds [default: 40 with --quick, else 100,1000].
@@ -113,6 +114,8 @@ pub enum Part {
     Crowds,
     /// Viewers at one place, rendered.
     Rings,
+    /// What rings of large pictures ask for, without a device; only where it is asked for.
+    Counts,
 }
 
 fn parsed_motion(text: &str) -> Result<CrowdMotion, String> {
@@ -165,7 +168,7 @@ struct Plan {
 
 impl ScalingArguments {
     fn has(&self, part: Part) -> bool {
-        self.only.is_empty() || self.only.contains(&part)
+        (self.only.is_empty() && part != Part::Counts) || self.only.contains(&part)
     }
 
     fn plan(&self, curve: &ErrorCurve) -> anyhow::Result<Plan> {
@@ -310,6 +313,9 @@ fn given<T: Clone>(asked: &[T], default: &[T]) -> Vec<T> {
 /// # Errors
 /// For a folder that cannot be written, an unreadable scene, a number out of range, a missing device.
 pub(super) fn run(arguments: &ScalingArguments) -> anyhow::Result<()> {
+    if arguments.only == [Part::Counts] {
+        return print_counts(arguments);
+    }
     let begun = Instant::now();
     let out = &arguments.out;
     std::fs::create_dir_all(out)
@@ -365,6 +371,35 @@ pub(super) fn run(arguments: &ScalingArguments) -> anyhow::Result<()> {
         spoken(report.wall_s)
     );
     println!("{}", page_path.display());
+    Ok(())
+}
+
+/// Prints what rings of large pictures ask for.
+fn print_counts(arguments: &ScalingArguments) -> anyhow::Result<()> {
+    let sizes = match arguments.size {
+        Some(size) => vec![size],
+        None => vec![FrameSize::new(1280, 720)?, FrameSize::new(1920, 1080)?],
+    };
+    let scene = read_scene(arguments.scene.as_deref())?;
+    let mut counts = Vec::new();
+    for size in sizes {
+        let rings = ScalingArguments {
+            only: vec![Part::Rings],
+            ..arguments.clone()
+        };
+        for setup in rings.ring_setups(size, 1)? {
+            let round_deg = 360.0 / f64::from(setup.viewers);
+            if round_deg < HORIZONTAL_FOV_MAX_DEG {
+                counts.push(counts::count(&setup, round_deg, &scene)?);
+            }
+            counts.push(counts::count(&setup, HORIZONTAL_FOV_MAX_DEG, &scene)?);
+        }
+    }
+    if arguments.json {
+        println!("{}", serde_json::to_string(&counts)?);
+    } else {
+        print!("{}", counts::table(&counts));
+    }
     Ok(())
 }
 

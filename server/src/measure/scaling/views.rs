@@ -10,7 +10,7 @@ use serde::Serialize;
 use skycell_protocol::{Camera, FrameSize};
 
 /// A wider picture stretches so much towards its edges that nobody would wish for it, degrees.
-const HORIZONTAL_FOV_MAX_DEG: f64 = 90.0;
+pub(super) const HORIZONTAL_FOV_MAX_DEG: f64 = 90.0;
 /// Height of everybody's eyes, m.
 const EYE_M: f64 = 2.0;
 /// How far up everybody looks, degrees.
@@ -54,7 +54,14 @@ impl RingSetup {
     /// # Errors
     /// When a picture is so flat or narrow that there is no such camera.
     pub fn cameras(&self) -> anyhow::Result<Vec<Camera>> {
-        let across_deg = (360.0 / f64::from(self.viewers)).min(HORIZONTAL_FOV_MAX_DEG);
+        self.cameras_across((360.0 / f64::from(self.viewers)).min(HORIZONTAL_FOV_MAX_DEG))
+    }
+
+    /// The same with pictures of another width, degrees: neighbours share as much, and the ring may go round several times.
+    ///
+    /// # Errors
+    /// As [`Self::cameras`].
+    pub fn cameras_across(&self, across_deg: f64) -> anyhow::Result<Vec<Camera>> {
         let half_width = (across_deg.to_radians() / 2.0).tan();
         let aspect = f64::from(self.size.height()) / f64::from(self.size.width());
         let vertical_fov_deg = 2.0 * (half_width * aspect).atan().to_degrees();
