@@ -515,6 +515,14 @@ impl SphereCache {
         steps_of_age(self.age_m(tile, reference), distance_m)
     }
 
+    /// How far what a tile's mixture shows is behind a reference and the noise of now, as an angle seen from its nearest part.
+    #[must_use]
+    pub fn behind_rad(&self, key: &TileKey, reference: DVec3) -> f64 {
+        let distance_m = self.wanted.get(key).map_or(f64::INFINITY, |w| w.distance_m);
+        let tile = self.tiles.get(key);
+        tile.map_or(0.0, |tile| self.age_m(tile, reference) / distance_m.max(1.0))
+    }
+
     /// As if every tile had taken so many samples.
     #[cfg(test)]
     pub(super) fn set_visits(&mut self, visits: u32) {

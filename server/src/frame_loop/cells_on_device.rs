@@ -212,6 +212,14 @@ impl SkyRenderer {
         }
     }
 
+    /// What viewers need is looked up again, where the wind has carried it by now.
+    pub(super) fn look_up_all(&mut self) {
+        for cell in self.active_cells.values_mut() {
+            cell.coarse.clear();
+            cell.requests_changed = true;
+        }
+    }
+
     /// Says where a viewer's camera is; returns its cell, which is on the device from now on.
     pub(super) fn place(&mut self, viewer: ViewerId, camera: &Camera) -> CellId {
         let position_m = DVec3::from_array(camera.position_m());

@@ -22,6 +22,7 @@ mod stats;
 
 mod still;
 mod still_followed;
+mod still_living;
 mod still_settings;
 mod still_shared;
 mod sun_volumes;
@@ -30,7 +31,9 @@ mod viewers_on_device;
 mod views;
 
 pub use pacing::FrameLoop;
+pub use auditing::AuditedTexel;
 pub use still::StillRenderer;
+pub use still_living::LivingViewers;
 pub use still_settings::{
     LayerFigures, RayFigures, RayPicture, StillFigures, StillPicture, StillRay, StillSettings,
 };

@@ -7,6 +7,7 @@ mod arguments;
 pub mod distance;
 pub mod front;
 mod gallery;
+pub mod living;
 pub mod metrics;
 pub mod octaves;
 pub mod plan;
@@ -36,6 +37,7 @@ pub fn run(arguments: &MeasureArguments) -> anyhow::Result<()> {
         Measurement::Distance(arguments) => distance::run(arguments),
         Measurement::Scaling(arguments) => scaling::run(arguments),
         Measurement::Proxies(arguments) => proxies::run(arguments),
+        Measurement::Living(arguments) => living::run(arguments),
         Measurement::Octaves(arguments) => octaves::run(arguments),
     }
 }
