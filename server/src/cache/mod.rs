@@ -49,8 +49,10 @@ pub struct TileUpdate {
     pub sample_index: u32,
     /// Share of the sample in the new value.
     pub weight: f32,
-    /// Where the rays of the new value started on the mean, in the frame that drifts with the layer.
-    pub shown_from: DVec3,
+    /// Where the rays of the sample start, in the frame that drifts with the layer; the whole mixture is seen from there.
+    pub from: DVec3,
+    /// Where those of the old texels started.
+    pub old_from: DVec3,
 }
 
 /// All spheres of all cells over one pool of slots.
@@ -289,7 +291,8 @@ impl Caches {
                     slot: sample.slot,
                     sample_index: sample.index,
                     weight: sample.weight,
-                    shown_from: sample.shown_from,
+                    from: sample.from,
+                    old_from: sample.old_from,
                 });
             }
         }
@@ -315,6 +318,14 @@ impl Caches {
         let (_, id, key) = list.pop()?;
         self.evicted += 1;
         self.spheres.get_mut(&id)?.remove(&key)
+    }
+
+    /// An audit of some texels of a tile has found another mean deviation than was expected, both percent: the tile is taken to
+    /// age faster or more slowly from now on, within limits.
+    pub fn note_audit(&mut self, id: SphereId, key: &TileKey, expected: f64, found: f64) {
+        if let Some(sphere) = self.spheres.get_mut(&id) {
+            sphere.note_audit(key, expected, found);
+        }
     }
 
     /// Whether nothing is left to do for any sphere that has a reference.

@@ -1,5 +1,6 @@
 //! The tiles of one proxy sphere: what its viewers want, what is resident, what an update would gain.
 
+mod expected;
 mod resampled;
 
 use super::address::TileKey;
@@ -13,7 +14,12 @@ use std::time::Instant;
 /// A step of age: the reference point has moved this far, as an angle seen from what a tile shows. About four pixels of a
 /// small picture.
 pub(super) const AGE_STEP_RAD: f64 = 0.012;
-/// While wind or rising noise age it all the time, a tile takes a sample when its mixture is this many steps of age behind, ...
+/// While wind carries the clouds past it, a tile takes a sample when the reference has moved by so many steps since the last.
+pub(super) const AGE_MOVED: f64 = 0.5;
+/// Of what the reference has moved by since the last sample, this share stays in a mixture that is carried over to where the
+/// next one is seen from: sides of clouds that were not seen, edges.
+const CARRIED_BEHIND: f64 = 0.25;
+/// While rising noise ages it, a tile takes a sample when its mixture is this many steps behind, ...
 pub(super) const AGE_DRIFTING: f64 = 2.0;
 /// ... of which a sample leaves at most so many. ...
 const AGE_KEPT: f64 = 1.5;
@@ -22,6 +28,8 @@ const AGE_KEPT: f64 = 1.5;
 pub(super) const AGE_REST: f64 = 0.3;
 /// Beyond so many steps old and new samples no longer show the same picture: what was there is replaced.
 pub(super) const AGE_RESTART: f64 = 5.0;
+/// Rays start no farther ahead of the wind, m.
+const LEAD_MAX_M: f64 = 300.0;
 /// What is accumulated anew begins with what was there, which counts as so many samples: of N new ones it is a share of
 /// 1/(2 N + 1) at the end, and until then no tile shows the noise of a single sample.
 const OLD_SAMPLES: f32 = 0.5;
@@ -57,7 +65,7 @@ pub(super) struct Tile {
     sampled: Option<Instant>,
     /// Reference point at the last sample, in the frame that drifts with the layer's wind.
     marched_from: DVec3,
-    /// Mean of the reference points of all that is in the mixture, in the same frame.
+    /// Where the rays of all that is in the mixture start or were carried over to, in the same frame.
     shown_from: DVec3,
     /// How far the noise had risen through the clouds at the last sample, m.
     evolved_m: f64,
@@ -72,6 +80,8 @@ pub(super) struct Tile {
     left_m: f64,
     /// Filled from other tiles, and not marched since.
     resampled: bool,
+    /// How fast it ages beside others: clear sky hardly. By what audits have found.
+    rate: f64,
 }
 
 impl Tile {
@@ -122,10 +132,9 @@ pub(super) enum Urgency {
     Missing,
     /// Shows an older scene.
     Stale,
-    /// Has fewer samples than it should.
-    Unfinished,
-    /// Seen from elsewhere than where the reference is now.
-    Aged,
+    /// Has fewer samples than it should, or shows a sky or is seen from where it was some time ago: the one of which the
+    /// largest error is expected comes first.
+    Wrong,
 }
 
 /// A sample that a tile takes.
@@ -136,8 +145,10 @@ pub(super) struct Sample {
     pub(super) index: u32,
     /// Its share of the new value.
     pub(super) weight: f32,
-    /// Mean reference point of the new value, in the frame that drifts with the layer.
-    pub(super) shown_from: DVec3,
+    /// Where its rays start, in the frame that drifts with the layer.
+    pub(super) from: DVec3,
+    /// Where those of the old texels started.
+    pub(super) old_from: DVec3,
 }
 
 /// An update that a sphere would like.
@@ -145,19 +156,16 @@ pub(super) struct Sample {
 pub(super) struct Candidate {
     pub(super) key: TileKey,
     pub(super) urgency: Urgency,
-    samples: u32,
-    /// Steps that it is behind a sky and a reference that move.
-    behind: u32,
+    /// Expected error times those who see it, percent.
+    seen_percent: f64,
     eccentricity_rad: f64,
 }
 
 impl Candidate {
-    /// Order of updates: urgency, then fewest samples, then farthest behind the sky, then nearest to the middle of a
-    /// picture.
+    /// Order of updates: urgency, then the largest expected error, then nearest to the middle of a picture.
     pub(super) fn rank(&self, other: &Self) -> std::cmp::Ordering {
-        (self.urgency, self.samples)
-            .cmp(&(other.urgency, other.samples))
-            .then(other.behind.cmp(&self.behind))
+        (self.urgency.cmp(&other.urgency))
+            .then(other.seen_percent.total_cmp(&self.seen_percent))
             .then(self.eccentricity_rad.total_cmp(&other.eccentricity_rad))
             .then(self.key.cmp(&other.key))
     }
@@ -185,6 +193,8 @@ pub struct SphereCache {
     evolved_m: f64,
     /// Whether wind carries the clouds past the reference or noise rises through them.
     drifts: bool,
+    /// Which way the wind lets the reference go, seen from the clouds; of length 1, or none.
+    course: DVec3,
     /// Where rays started when updates were last planned.
     reference: Option<DVec3>,
     /// How often the clouds have changed a little.
@@ -213,9 +223,11 @@ impl SphereCache {
         self.evolved_m = evolved_m;
     }
 
-    /// Whether wind carries the clouds past the reference or noise rises through them, so that tiles age all the time.
-    pub fn set_drifts(&mut self, drifts: bool) {
+    /// Whether wind carries the clouds past the reference or noise rises through them, so that tiles age all the time; and
+    /// which way the reference goes then, as seen from the clouds: a unit vector, or none.
+    pub fn set_drifts(&mut self, drifts: bool, course: DVec3) {
         self.drifts = drifts;
+        self.course = course;
     }
 
     /// Whether every wanted tile has had a sample since the clouds last changed.
@@ -378,14 +390,11 @@ impl SphereCache {
         is_calm: bool,
         into: &mut Vec<Candidate>,
     ) {
-        let age_max = if self.drifts { AGE_DRIFTING } else { AGE_REST };
         for (key, want) in &self.wanted {
             let coarse = key.level == 0;
             let tile = self.tiles.get(key);
             let have = self.samples_of(key).unwrap_or(0);
             let samples = want.samples(samples);
-            let behind = tile.map_or(0.0, |tile| tile.behind(self.moved));
-            let age = tile.map_or(0.0, |tile| self.age_steps(tile, reference, want.distance_m));
             let urgency = match tile {
                 None if coarse => Urgency::Coarse,
                 None => Urgency::Missing,
@@ -393,17 +402,23 @@ impl SphereCache {
                 Some(tile) if tile.visits == 0 => Urgency::Missing,
                 Some(_) if have == 0 && coarse => Urgency::Coarse,
                 Some(_) if have == 0 => Urgency::Stale,
-                Some(_) if have < samples => Urgency::Unfinished,
-                Some(tile) if tile.resampled || tile.refreshes != self.refreshes => Urgency::Aged,
-                Some(_) if age > age_max => Urgency::Aged,
-                Some(_) if behind > behind_max(is_calm, want) => Urgency::Aged,
+                Some(tile)
+                    if have < samples
+                        || tile.resampled
+                        || tile.refreshes != self.refreshes
+                        || self.is_aged(tile, want, reference, is_calm) =>
+                {
+                    Urgency::Wrong
+                }
                 Some(_) => continue,
             };
+            let expected = tile.filter(|_| urgency == Urgency::Wrong).map_or(0.0, |tile| {
+                self.expected_percent(tile, reference, want.distance_m)
+            });
             into.push(Candidate {
                 key: *key,
                 urgency,
-                samples: have,
-                behind: (behind + age).min(f64::from(u32::MAX)) as u32,
+                seen_percent: expected * f64::from(want.viewers.max(1)),
                 eccentricity_rad: want.eccentricity_rad,
             });
         }
@@ -411,11 +426,13 @@ impl SphereCache {
 
     /// Gives a tile a slot.
     pub(super) fn insert(&mut self, key: TileKey, slot: Slot, frame: u64) {
+        let rate = self.rate_of_parent(key);
         self.tiles.insert(
             key,
             Tile {
                 slot,
                 samples: 0,
+                rate,
                 old_samples: 0.0,
                 visits: 0,
                 generation: self.generation,
@@ -443,8 +460,10 @@ impl SphereCache {
         let want = self.wanted.get(&key).copied();
         let distance_m = want.map_or(1.0, |want| want.distance_m);
         let owed = want.map_or(samples, |want| want.samples(samples));
-        let age_m = self.age_m(self.tiles.get(&key)?, reference);
-        let age = steps_of_age(age_m, distance_m);
+        let old = self.tiles.get(&key)?;
+        let age = self.age_steps(old, reference, distance_m);
+        let behind_m = self.behind_m(old, reference);
+        let from = reference + self.course * self.lead_m(old, distance_m);
         let tile = self.tiles.get_mut(&key)?;
         let stale = tile.visits == 0 || tile.generation != self.generation;
         let behind = tile.behind(self.moved);
@@ -467,13 +486,13 @@ impl SphereCache {
         // A tile far behind comes as near as it may stay; one that is close takes little noise from one sample.
         let weight = weight.max(weight_that_leaves(BEHIND_KEPT, behind));
         let weight = if self.drifts {
-            weight.max(weight_that_leaves(AGE_KEPT, age))
+            weight.max(weight_that_leaves(AGE_KEPT, steps_of_age(behind_m, distance_m)))
         } else {
             weight
         };
         let kept = f64::from(1.0 - weight);
         tile.left = behind * kept;
-        tile.left_m = age_m * kept;
+        tile.left_m = behind_m * kept;
         tile.moved = self.moved;
         let index = if tile.samples < samples {
             tile.samples
@@ -487,11 +506,8 @@ impl SphereCache {
         tile.visits = tile.visits.wrapping_add(1).max(1);
         tile.generation = self.generation;
         tile.marched_from = reference;
-        tile.shown_from = if weight < 1.0 {
-            tile.shown_from.lerp(reference, f64::from(weight))
-        } else {
-            reference
-        };
+        let old_from = if weight < 1.0 { tile.shown_from } else { from };
+        tile.shown_from = from;
         tile.evolved_m = self.evolved_m;
         tile.refreshes = self.refreshes;
         tile.sampled = Some(Instant::now());
@@ -499,7 +515,8 @@ impl SphereCache {
             slot: tile.slot,
             index,
             weight,
-            shown_from: tile.shown_from,
+            from,
+            old_from,
         })
     }
 
@@ -513,14 +530,6 @@ impl SphereCache {
 
     fn age_steps(&self, tile: &Tile, reference: DVec3, distance_m: f64) -> f64 {
         steps_of_age(self.age_m(tile, reference), distance_m)
-    }
-
-    /// How far what a tile's mixture shows is behind a reference and the noise of now, as an angle seen from its nearest part.
-    #[must_use]
-    pub fn behind_rad(&self, key: &TileKey, reference: DVec3) -> f64 {
-        let distance_m = self.wanted.get(key).map_or(f64::INFINITY, |w| w.distance_m);
-        let tile = self.tiles.get(key);
-        tile.map_or(0.0, |tile| self.age_m(tile, reference) / distance_m.max(1.0))
     }
 
     /// As if every tile had taken so many samples.

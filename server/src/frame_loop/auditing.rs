@@ -31,8 +31,10 @@ pub struct AuditedTexel {
     pub sphere: SphereId,
     /// The tile.
     pub key: TileKey,
-    /// How far the tile's mixture was behind, rad, as seen from its nearest part.
-    pub behind_rad: f64,
+    /// How far from the reference what the tile holds is seen from, as an angle from its nearest part, rad.
+    pub off_rad: f64,
+    /// The deviation that was expected of the tile, percent.
+    pub expected_percent: f64,
     /// How far the texel is from a fresh one, percent ([`ShownLight::deviation_percent`]).
     pub deviation_percent: f64,
 }
@@ -82,15 +84,26 @@ impl Audit {
 }
 
 impl SkyRenderer {
-    /// Takes the answers that have come back.
+    /// Takes the answers that have come back, and lets tiles age as they were found to. Returns them.
     pub(super) fn collect_audit(&mut self, now: Instant) -> Vec<AuditedTexel> {
         let mut all = Vec::new();
         while let Ok((epoch, texels)) = self.audit.answers.try_recv() {
             let deviations: Vec<f32> = texels.iter().map(|t| t.deviation_percent as f32).collect();
             self.audit.window.add(epoch, &deviations, now);
-            if epoch == self.audit.window.epoch() {
-                all.extend(texels);
+            if epoch != self.audit.window.epoch() {
+                continue;
             }
+            // Texels of one tile follow one another.
+            for of_tile in texels.chunk_by(|a, b| a.key == b.key) {
+                let mean = |value: fn(&AuditedTexel) -> f64| {
+                    of_tile.iter().map(value).sum::<f64>() / of_tile.len() as f64
+                };
+                let (id, key) = (of_tile[0].sphere, of_tile[0].key);
+                let expected = mean(|texel| texel.expected_percent);
+                let found = mean(|texel| texel.deviation_percent);
+                self.caches.note_audit(id, &key, expected, found);
+            }
+            all.extend(texels);
         }
         all
     }
@@ -176,10 +189,9 @@ impl SkyRenderer {
     fn march_audit(&mut self, sphere: SphereId, work: &[(TileKey, AuditWork)]) -> Option<()> {
         let reference = self.drifting_reference(sphere)?;
         let cache = self.caches.sphere(sphere)?;
-        let of_texels: Vec<(TileKey, f64)> = work
-            .iter()
-            .map(|(key, _)| (*key, cache.behind_rad(key, reference)))
-            .collect();
+        let expected = |key: &TileKey| cache.expected(key, reference).unwrap_or_default();
+        let of_texels: Vec<(TileKey, (f64, f64))> =
+            work.iter().map(|(key, _)| (*key, expected(key))).collect();
         let work: Vec<AuditWork> = work.iter().map(|(_, work)| *work).collect();
         let scene_index = self.proxies.get(sphere.proxy as usize)?.scene_index;
         let cell = self.active_cells.get(&sphere.cell)?;
@@ -235,11 +247,14 @@ impl SkyRenderer {
             // A renderer that is gone needs no answer.
             let deviations = deviations_percent(light, &samples);
             let texels = of_texels.into_iter().zip(deviations);
-            let texels = texels.map(|((key, behind_rad), deviation_percent)| AuditedTexel {
-                sphere,
-                key,
-                behind_rad,
-                deviation_percent,
+            let texels = texels.map(|((key, (expected_percent, off_rad)), deviation_percent)| {
+                AuditedTexel {
+                    sphere,
+                    key,
+                    off_rad,
+                    expected_percent,
+                    deviation_percent,
+                }
             });
             let _ = answer.send((epoch, texels.collect()));
         });

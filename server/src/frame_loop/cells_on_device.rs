@@ -6,7 +6,7 @@ use super::viewers_on_device::ActiveViewer;
 use crate::cache::{Band, ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
 use crate::composite::view_frustum;
 use crate::march::{
-    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, scene_uniform,
+    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, drift_m_per_s, scene_uniform,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, Scene, ViewerId};
@@ -465,7 +465,10 @@ impl SkyRenderer {
         for (proxy, kept) in (0..).zip(&self.proxies) {
             let sphere = self.caches.sphere_mut(SphereId { cell: id, proxy });
             sphere.set_evolved(self.drifts[kept.scene_index].y);
-            sphere.set_drifts(drifts);
+            // Seen from the clouds, the reference goes against the wind.
+            let wind = drift_m_per_s(&self.scene, kept.scene_index).with_y(0.0);
+            let course = -(wind * self.sky_time.wind_rate()).normalize_or_zero();
+            sphere.set_drifts(drifts, course);
         }
         let now = Instant::now();
         let ages = (self.ages_are_shown(id)

@@ -7,7 +7,7 @@ use super::still_settings::StillSettings;
 use crate::cells::{CellLimit, Cells};
 use crate::composite::{Picture, composite_key, ground_key, with_parallax};
 use crate::gpu::{GpuError, PipelineKey, read_buffer_blocking};
-use crate::march::{AUDIT_TEXELS_MAX, LayerBlend};
+use crate::march::AUDIT_TEXELS_MAX;
 use skycell_protocol::{Camera, FrameSize, InputSequence, RendererKind, ViewerId};
 use skycell_shaders::Features;
 use std::time::Instant;
@@ -66,7 +66,7 @@ impl StillRenderer {
 
     fn living_key(&self, viewers: &LivingViewers) -> PipelineKey {
         let renderer = &self.renderer;
-        let blend = LayerBlend::of(&renderer.scene, &renderer.active);
+        let blend = renderer.blend();
         let key = composite_key(&renderer.scene, viewers.settings.filter, blend, false, false);
         PipelineKey {
             features: Features {

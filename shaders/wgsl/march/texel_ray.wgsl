@@ -1,6 +1,6 @@
 #define_import_path skycell::texel_ray
 #import skycell::scene::Proxy
-#import skycell::octahedral::direction_from_octahedral
+#import skycell::octahedral::{direction_from_octahedral, octahedral_from_direction}
 #import skycell::shell::altitude_m
 #import skycell::surface::surface_point
 
@@ -36,4 +36,11 @@ fn texel_direction(planet_radius_m: f32, proxy: Proxy, reference: vec3f, square:
     let anchor_altitude = altitude_m(planet_radius_m, proxy.anchor);
     let on_surface = surface_point(planet_radius_m, proxy, proxy.anchor, anchor_altitude, from_anchor);
     return above_horizon(planet_radius_m, normalize(on_surface - reference), reference);
+}
+
+/// The place of the octahedral square, 0...1, whose texel shows a point to rays that start at an origin.
+fn place_on_surface(planet_radius_m: f32, proxy: Proxy, origin: vec3f, point: vec3f) -> vec2f {
+    let direction = normalize(point - origin);
+    let on_surface = surface_point(planet_radius_m, proxy, origin, altitude_m(planet_radius_m, origin), direction);
+    return octahedral_from_direction(on_surface - proxy.anchor);
 }

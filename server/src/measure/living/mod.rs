@@ -316,6 +316,7 @@ fn measured(arguments: &LivingArguments) -> anyhow::Result<LivingReport> {
     let mut credit = 0.0;
     for moment in 0..moments {
         progress.begin(&format!("moment {}", moment + 1), 1.0);
+        let before = bench.living.totals().texels_updated;
         let until = (moment + 1) * turns / moments;
         let from = moment * turns / moments;
         for turn in from..until {
@@ -339,7 +340,9 @@ fn measured(arguments: &LivingArguments) -> anyhow::Result<LivingReport> {
             pictures.push(bench.compared(&viewers, viewer, at_s)?);
         }
         let flip = pictures.last().map_or(0.0, |p| p.errors.flip);
-        progress.done(&format!("FLIP {flip:.4}"));
+        let marched = bench.living.totals().texels_updated - before;
+        let share = marched as f64 / ((until - from) * rays_per_frame) as f64;
+        progress.done(&format!("{share:.4} texels per ray, FLIP {flip:.4}"));
     }
     progress.finish();
     let texels = bench.living.totals().texels_updated - texels_at_start;
