@@ -14,7 +14,7 @@ pub use pool::{Slot, SlotPool};
 pub use requests::{
     Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, is_above_horizon, requested_tiles,
 };
-pub use sphere::{NO_TILE, PageTables, SphereCache, Want};
+pub use sphere::{AgeingRates, NO_TILE, PageTables, SphereCache, Want};
 
 use glam::{DVec2, DVec3};
 use skycell_protocol::CellId;

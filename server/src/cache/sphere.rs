@@ -3,6 +3,8 @@
 mod expected;
 mod resampled;
 
+pub use expected::AgeingRates;
+
 use super::address::TileKey;
 use super::pool::Slot;
 use super::requests::TileRequest;

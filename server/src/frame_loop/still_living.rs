@@ -8,8 +8,9 @@ use crate::cells::{CellLimit, Cells};
 use crate::composite::{Picture, composite_key, ground_key, with_parallax};
 use crate::gpu::{GpuError, PipelineKey, read_buffer_blocking};
 use crate::march::AUDIT_TEXELS_MAX;
-use skycell_protocol::{Camera, FrameSize, InputSequence, RendererKind, ViewerId};
+use skycell_protocol::{Camera, FrameSize, InputSequence, RendererKind, Scene, ViewerId};
 use skycell_shaders::Features;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Viewers who share a cell and stay while time passes.
@@ -123,6 +124,34 @@ impl StillRenderer {
         }
         renderer.refresh_cells();
         Ok(marched as u64)
+    }
+
+    /// The scene is another, and nobody tells the caches.
+    ///
+    /// # Errors
+    /// When a pipeline cannot be made or the device is lost.
+    pub fn pretend_living(&mut self, scene: Arc<Scene>) -> Result<(), GpuError> {
+        let renderer = &mut self.renderer;
+        renderer.prepare_pipelines(&scene)?;
+        renderer.scene = scene;
+        renderer.take_maps();
+        let altitude_m = renderer.active.first().map(|layer| layer.proxy_altitude_m);
+        renderer.take_light(altitude_m.unwrap_or_default());
+        renderer.look_up_all();
+        renderer.refresh_cells();
+        while renderer.update_sun_volumes(BATCH_TILES) {
+            renderer.gpu.wait()?;
+        }
+        Ok(())
+    }
+
+    /// Every tile takes one sample more.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn refresh_living(&mut self) -> Result<(), GpuError> {
+        self.renderer.caches.refresh_all();
+        self.march_all(false, |_| {})
     }
 
     /// What a viewer sees, as it is shown: 4 bytes a pixel.

@@ -6,6 +6,7 @@ use super::{
 };
 use crate::cache::address::TileKey;
 use glam::DVec3;
+use serde::Serialize;
 
 /// Deviation of a texel, as audits measure it, for an angle by which the reference has moved or the noise has risen, seen from
 /// what the tile shows, percent/rad.
@@ -16,6 +17,35 @@ const PERCENT_PER_STEP: f64 = 0.5;
 const PERCENT_OF_A_SAMPLE: f64 = 4.0;
 /// No deviation is expected to be larger: both show clouds of one sky.
 const PERCENT_MAX: f64 = 50.0;
+/// The rates that expected errors follow from.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct AgeingRates {
+    /// For an angle by which the reference has moved or noise has risen, seen from what a tile shows, percent/rad.
+    pub percent_per_rad: f64,
+    /// For a step of the sky that is just not seen, percent.
+    pub percent_per_step: f64,
+    /// Of a texel with a single sample, percent.
+    pub percent_of_a_sample: f64,
+    /// Share of the way of the reference that stays in what is carried over.
+    pub carried_behind: f64,
+    /// The angle of a step of age, rad.
+    pub age_step_rad: f64,
+    /// Steps of age from one sample to the next under wind.
+    pub age_moved: f64,
+}
+
+impl AgeingRates {
+    /// What caches reckon with.
+    pub const RECKONED: Self = Self {
+        percent_per_rad: PERCENT_PER_RAD,
+        percent_per_step: PERCENT_PER_STEP,
+        percent_of_a_sample: PERCENT_OF_A_SAMPLE,
+        carried_behind: CARRIED_BEHIND,
+        age_step_rad: AGE_STEP_RAD,
+        age_moved: AGE_MOVED,
+    };
+}
+
 /// How much slower or faster than that a tile may be taken to age: what an audit has seen of it are some texels.
 const RATES: [f64; 2] = [0.25, 2.0];
 /// Less than this is nothing, percent.
@@ -38,7 +68,7 @@ impl SphereCache {
     /// How far ahead of the reference the rays of a sample start, m: half of the way that it goes until the tile's next one, so
     /// that what is shown until then is seen from too far ahead as long as from too far behind.
     pub(super) fn lead_m(&self, tile: &Tile, distance_m: f64) -> f64 {
-        (0.5 * AGE_MOVED * AGE_STEP_RAD * distance_m / tile.rate).min(LEAD_MAX_M)
+        (super::knob("LEAD", 0.5) * AGE_MOVED * AGE_STEP_RAD * distance_m / tile.rate).min(LEAD_MAX_M)
     }
 
     /// Whether a tile with all its samples is to take another.
