@@ -14,10 +14,11 @@ pub use pool::{Slot, SlotPool};
 pub use requests::{
     Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, is_above_horizon, requested_tiles,
 };
-pub use sphere::{AgeingRates, NO_TILE, PageTables, SphereCache, Want};
+pub use sphere::{AgeingRates, LAG_RAD, NO_TILE, PageTables, SphereCache, Want};
 
 use glam::{DVec2, DVec3};
 use skycell_protocol::CellId;
+use sphere::AuditScale;
 use std::collections::BTreeMap;
 
 /// Texels of a stored tile.
@@ -64,6 +65,7 @@ pub struct Caches {
     frame: u64,
     evicted: u64,
     is_calm: bool,
+    audits: AuditScale,
 }
 
 impl Caches {
@@ -77,6 +79,7 @@ impl Caches {
             frame: 0,
             evicted: 0,
             is_calm: true,
+            audits: AuditScale::default(),
         }
     }
 
@@ -323,8 +326,11 @@ impl Caches {
     /// An audit of some texels of a tile has found another mean deviation than was expected, both percent: the tile is taken to
     /// age faster or more slowly from now on, within limits.
     pub fn note_audit(&mut self, id: SphereId, key: &TileKey, expected: f64, found: f64) {
-        if let Some(sphere) = self.spheres.get_mut(&id) {
-            sphere.note_audit(key, expected, found);
+        if let (Some(times), Some(sphere)) = (
+            self.audits.times(expected, found),
+            self.spheres.get_mut(&id),
+        ) {
+            sphere.note_audit(key, times);
         }
     }
 

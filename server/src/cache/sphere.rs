@@ -3,7 +3,8 @@
 mod expected;
 mod resampled;
 
-pub use expected::AgeingRates;
+pub(super) use expected::AuditScale;
+pub use expected::{AgeingRates, LAG_RAD};
 
 use super::address::TileKey;
 use super::pool::Slot;
@@ -16,8 +17,11 @@ use std::time::Instant;
 /// A step of age: the reference point has moved this far, as an angle seen from what a tile shows. About four pixels of a
 /// small picture.
 pub(super) const AGE_STEP_RAD: f64 = 0.012;
-/// While wind carries the clouds past it, a tile takes a sample when the reference has moved by so many steps since the last.
-pub(super) const AGE_MOVED: f64 = 0.5;
+/// While wind carries the clouds past it, a tile takes a sample when the reference has moved by so many steps since the last, ...
+pub(super) const AGE_MOVED: f64 = 1.0;
+/// ... or by so many texels, if that is less: the texels of a tile are carried over by a fraction of that, and its gutters hold
+/// two of its neighbours'.
+const MOVED_TEXELS: f64 = 3.0;
 /// Of what the reference has moved by since the last sample, this share stays in a mixture that is carried over to where the
 /// next one is seen from: sides of clouds that were not seen, edges.
 const CARRIED_BEHIND: f64 = 0.25;
@@ -408,15 +412,17 @@ impl SphereCache {
                     if have < samples
                         || tile.resampled
                         || tile.refreshes != self.refreshes
-                        || self.is_aged(tile, want, reference, is_calm) =>
+                        || self.is_aged(*key, tile, want, reference, is_calm) =>
                 {
                     Urgency::Wrong
                 }
                 Some(_) => continue,
             };
-            let expected = tile.filter(|_| urgency == Urgency::Wrong).map_or(0.0, |tile| {
-                self.expected_percent(tile, reference, want.distance_m)
-            });
+            let expected = tile
+                .filter(|_| urgency == Urgency::Wrong)
+                .map_or(0.0, |tile| {
+                    self.expected_percent(tile, reference, want.distance_m)
+                });
             into.push(Candidate {
                 key: *key,
                 urgency,
@@ -465,7 +471,7 @@ impl SphereCache {
         let old = self.tiles.get(&key)?;
         let age = self.age_steps(old, reference, distance_m);
         let behind_m = self.behind_m(old, reference);
-        let from = reference + self.course * self.lead_m(old, distance_m);
+        let from = reference + self.course * Self::lead_m(key, old, distance_m);
         let tile = self.tiles.get_mut(&key)?;
         let stale = tile.visits == 0 || tile.generation != self.generation;
         let behind = tile.behind(self.moved);
@@ -488,7 +494,10 @@ impl SphereCache {
         // A tile far behind comes as near as it may stay; one that is close takes little noise from one sample.
         let weight = weight.max(weight_that_leaves(BEHIND_KEPT, behind));
         let weight = if self.drifts {
-            weight.max(weight_that_leaves(AGE_KEPT, steps_of_age(behind_m, distance_m)))
+            weight.max(weight_that_leaves(
+                AGE_KEPT,
+                steps_of_age(behind_m, distance_m),
+            ))
         } else {
             weight
         };

@@ -30,8 +30,8 @@ mod transitions;
 mod viewers_on_device;
 mod views;
 
-pub use pacing::FrameLoop;
 pub use auditing::AuditedTexel;
+pub use pacing::FrameLoop;
 pub use still::StillRenderer;
 pub use still_living::LivingViewers;
 pub use still_settings::{

@@ -167,6 +167,7 @@ impl SkyRenderer {
         revision: u64,
     ) -> Result<(), GpuError> {
         self.sky_time.shown = Some(Moment::MIN);
+        self.is_living = true;
         self.set_scene(document, revision)
     }
 

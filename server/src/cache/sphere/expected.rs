@@ -1,27 +1,35 @@
 //! What a tile is expected to be wrong by, and what audits make of that.
 
 use super::{
-    AGE_DRIFTING, AGE_MOVED, AGE_REST, AGE_STEP_RAD, CARRIED_BEHIND, LEAD_MAX_M, RESAMPLED_SAMPLES,
-    SphereCache, Tile, Want, behind_max, steps_of_age,
+    AGE_DRIFTING, AGE_MOVED, AGE_REST, AGE_STEP_RAD, CARRIED_BEHIND, LEAD_MAX_M, MOVED_TEXELS,
+    RESAMPLED_SAMPLES, SphereCache, Tile, Want, behind_max, steps_of_age,
 };
-use crate::cache::address::TileKey;
+use crate::cache::address::{TileKey, texel_solid_angle_sr};
 use glam::DVec3;
 use serde::Serialize;
 
-/// Deviation of a texel, as audits measure it, for an angle by which the reference has moved or the noise has risen, seen from
-/// what the tile shows, percent/rad.
-const PERCENT_PER_RAD: f64 = 300.0;
+/// Deviation of a texel, as audits measure it, for an angle by which the reference has moved, seen from what the tile shows,
+/// percent/rad. Tuned, as those below: `measure ageing`.
+const PERCENT_PER_RAD_MOVED: f64 = 90.0;
+/// The same for an angle by which noise has risen through the clouds.
+const PERCENT_PER_RAD_RISEN: f64 = 250.0;
 /// For a step of the sky that is just not seen, percent.
 const PERCENT_PER_STEP: f64 = 0.5;
 /// Of a texel with a single sample, percent; it falls with the root of their number.
 const PERCENT_OF_A_SAMPLE: f64 = 4.0;
 /// No deviation is expected to be larger: both show clouds of one sky.
 const PERCENT_MAX: f64 = 50.0;
+
+/// Under wind what a tile shows is seen from elsewhere than the reference by this angle at most, rad.
+pub const LAG_RAD: f64 = 0.5 * AGE_MOVED * AGE_STEP_RAD;
+
 /// The rates that expected errors follow from.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AgeingRates {
-    /// For an angle by which the reference has moved or noise has risen, seen from what a tile shows, percent/rad.
-    pub percent_per_rad: f64,
+    /// For an angle by which the reference has moved, seen from what a tile shows, percent/rad.
+    pub percent_per_rad_moved: f64,
+    /// For an angle by which noise has risen, percent/rad.
+    pub percent_per_rad_risen: f64,
     /// For a step of the sky that is just not seen, percent.
     pub percent_per_step: f64,
     /// Of a texel with a single sample, percent.
@@ -37,7 +45,8 @@ pub struct AgeingRates {
 impl AgeingRates {
     /// What caches reckon with.
     pub const RECKONED: Self = Self {
-        percent_per_rad: PERCENT_PER_RAD,
+        percent_per_rad_moved: PERCENT_PER_RAD_MOVED,
+        percent_per_rad_risen: PERCENT_PER_RAD_RISEN,
         percent_per_step: PERCENT_PER_STEP,
         percent_of_a_sample: PERCENT_OF_A_SAMPLE,
         carried_behind: CARRIED_BEHIND,
@@ -50,8 +59,35 @@ impl AgeingRates {
 const RATES: [f64; 2] = [0.25, 2.0];
 /// Less than this is nothing, percent.
 const NOTHING_PERCENT: f64 = 0.2;
+/// No audit counts for more than this times what was expected, or less than its inverse.
+const TIMES_MAX: f64 = 8.0;
+/// How far an audit moves what audits find of all tiles, in its logarithm.
+const ALL_GAIN: f64 = 0.02;
 /// How far an audit of eight texels moves a rate towards what it has found, as a power of the ratio.
 const AUDIT_GAIN: f64 = 0.35;
+
+/// How audits compare with what was expected, over all tiles: a scene may be harder than the one that rates were measured with,
+/// and tiles are to be told from each other.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(in crate::cache) struct AuditScale {
+    /// Natural logarithm of found over expected, the mean of the latest.
+    mean: f64,
+}
+
+impl AuditScale {
+    /// Takes what was found where something was expected, percent both; returns how many times more that is than of others. None
+    /// for what is no number.
+    pub(in crate::cache) fn times(&mut self, expected: f64, found: f64) -> Option<f64> {
+        let most = TIMES_MAX.ln();
+        let found = ((found + NOTHING_PERCENT) / (expected + NOTHING_PERCENT)).ln();
+        if !found.is_finite() {
+            return None;
+        }
+        let found = found.clamp(-most, most);
+        self.mean += ALL_GAIN * (found - self.mean);
+        Some((found - self.mean).exp())
+    }
+}
 
 impl SphereCache {
     /// How far the reference has moved since a tile's last sample, m.
@@ -65,18 +101,31 @@ impl SphereCache {
         tile.left_m + evolved_m + CARRIED_BEHIND * Self::moved_m(tile, reference)
     }
 
+    /// The angle by which the reference may move from one sample of a tile to the next, rad, seen from what it shows.
+    fn moved_max_rad(key: TileKey, tile: &Tile) -> f64 {
+        let texel_rad = texel_solid_angle_sr(key.level).sqrt();
+        (AGE_MOVED * AGE_STEP_RAD).min(MOVED_TEXELS * texel_rad) / tile.rate
+    }
+
     /// How far ahead of the reference the rays of a sample start, m: half of the way that it goes until the tile's next one, so
     /// that what is shown until then is seen from too far ahead as long as from too far behind.
-    pub(super) fn lead_m(&self, tile: &Tile, distance_m: f64) -> f64 {
-        (super::knob("LEAD", 0.5) * AGE_MOVED * AGE_STEP_RAD * distance_m / tile.rate).min(LEAD_MAX_M)
+    pub(super) fn lead_m(key: TileKey, tile: &Tile, distance_m: f64) -> f64 {
+        (0.5 * Self::moved_max_rad(key, tile) * distance_m).min(LEAD_MAX_M)
     }
 
     /// Whether a tile with all its samples is to take another.
-    pub(super) fn is_aged(&self, tile: &Tile, want: &Want, reference: DVec3, is_calm: bool) -> bool {
-        let steps = |way_m: f64| steps_of_age(way_m, want.distance_m);
+    pub(super) fn is_aged(
+        &self,
+        key: TileKey,
+        tile: &Tile,
+        want: &Want,
+        reference: DVec3,
+        is_calm: bool,
+    ) -> bool {
         let seen_elsewhere = if self.drifts {
-            tile.rate * steps(Self::moved_m(tile, reference)) > AGE_MOVED
-                || tile.rate * steps(self.behind_m(tile, reference)) > AGE_DRIFTING
+            let moved_rad = Self::moved_m(tile, reference) / want.distance_m.max(1.0);
+            let behind = steps_of_age(self.behind_m(tile, reference), want.distance_m);
+            moved_rad > Self::moved_max_rad(key, tile) || tile.rate * behind > AGE_DRIFTING
         } else {
             self.age_steps(tile, reference, want.distance_m) > AGE_REST
         };
@@ -87,17 +136,20 @@ impl SphereCache {
 
     /// What a tile is expected to be wrong by, percent, as an audit measures it.
     pub(super) fn expected_percent(&self, tile: &Tile, reference: DVec3, distance_m: f64) -> f64 {
-        self.expected_of(tile, self.age_m(tile, reference), distance_m)
+        self.expected_of(tile, Self::moved_m(tile, reference), distance_m)
     }
 
-    fn expected_of(&self, tile: &Tile, way_m: f64, distance_m: f64) -> f64 {
+    /// What a tile is expected to be wrong by when it is seen from so far away from where it was marched for, percent.
+    fn expected_of(&self, tile: &Tile, moved_m: f64, distance_m: f64) -> f64 {
         let samples = if tile.resampled {
             RESAMPLED_SAMPLES
         } else {
             tile.samples.max(1) as f32 + tile.old_samples
         };
+        let risen_m = tile.left_m + (tile.evolved_m - self.evolved_m).abs();
         let percent = PERCENT_OF_A_SAMPLE / f64::from(samples).sqrt()
-            + PERCENT_PER_RAD * way_m / distance_m.max(1.0)
+            + (PERCENT_PER_RAD_MOVED * moved_m + PERCENT_PER_RAD_RISEN * risen_m)
+                / distance_m.max(1.0)
             + PERCENT_PER_STEP * tile.behind(self.moved);
         (tile.rate * percent).min(PERCENT_MAX)
     }
@@ -107,19 +159,16 @@ impl SphereCache {
     pub fn expected(&self, key: &TileKey, reference: DVec3) -> Option<(f64, f64)> {
         let tile = self.tiles.get(key)?;
         let distance_m = self.wanted.get(key)?.distance_m.max(1.0);
-        let evolved_m = (tile.evolved_m - self.evolved_m).abs();
-        let way_m = tile.left_m + evolved_m + tile.shown_from.distance(reference);
-        Some((self.expected_of(tile, way_m, distance_m), way_m / distance_m))
+        let moved_m = tile.shown_from.distance(reference);
+        let risen_m = tile.left_m + (tile.evolved_m - self.evolved_m).abs();
+        let expected = self.expected_of(tile, moved_m, distance_m);
+        Some((expected, (moved_m + risen_m) / distance_m))
     }
 
-    /// An audit has found another deviation than was expected, both percent, the mean of some texels.
-    pub(in crate::cache) fn note_audit(&mut self, key: &TileKey, expected: f64, found: f64) {
+    /// An audit has found so many times the deviation that was expected of a tile, beside what it finds of all.
+    pub(in crate::cache) fn note_audit(&mut self, key: &TileKey, times: f64) {
         if let Some(tile) = self.tiles.get_mut(key) {
-            let ratio = (found + NOTHING_PERCENT) / (expected + NOTHING_PERCENT);
-            // What is no number fails no comparison of clamp's, and would stay.
-            if ratio.is_finite() {
-                tile.rate = (tile.rate * ratio.powf(AUDIT_GAIN)).clamp(RATES[0], RATES[1]);
-            }
+            tile.rate = (tile.rate * times.powf(AUDIT_GAIN)).clamp(RATES[0], RATES[1]);
         }
     }
 

@@ -130,7 +130,12 @@ pub(super) fn run(arguments: &AgeingArguments) -> anyhow::Result<()> {
     for point in std::iter::once(&report.fresh).chain(&report.points) {
         println!("{}", row(point));
     }
-    println!("{:?}\n{}, {}", report.reckoned, report.adapter, spoken(report.wall_s));
+    println!(
+        "{:?}\n{}, {}",
+        report.reckoned,
+        report.adapter,
+        spoken(report.wall_s)
+    );
     Ok(())
 }
 
@@ -173,8 +178,17 @@ impl Bench<'_> {
     }
 
     /// Lets a cause have its way with fresh caches.
-    fn aged(&mut self, cause: Cause, amount: f64, fresh_percent: f64) -> anyhow::Result<AgeingPoint> {
-        let samples = if cause == Cause::Samples { amount as u32 } else { 8 };
+    fn aged(
+        &mut self,
+        cause: Cause,
+        amount: f64,
+        fresh_percent: f64,
+    ) -> anyhow::Result<AgeingPoint> {
+        let samples = if cause == Cause::Samples {
+            amount as u32
+        } else {
+            8
+        };
         let still_scene = Arc::new(Scene::from_json(&still(&self.base, 0.0)?)?);
         let changed = Arc::new(cause.scene(&self.base, amount)?);
         self.living.set_scene(still_scene)?;
@@ -194,12 +208,18 @@ impl Bench<'_> {
             self.living.pretend_living(standing)?;
             self.living.refresh_living()?;
         }
+        let blowing = changed.clone();
         self.exact.set_scene(changed)?;
         self.exact.advance_time(way_m);
-        let count = if self.arguments.quick { AUDITED_QUICK } else { AUDITED };
+        let count = if self.arguments.quick {
+            AUDITED_QUICK
+        } else {
+            AUDITED
+        };
         let texels = self.living.audit_living(count)?;
         let errors = self.errors(&viewers)?;
         // The next one begins where this one has: what has drifted is brought back.
+        self.living.pretend_living(blowing)?;
         for renderer in [&mut self.living, &mut self.exact] {
             renderer.advance_time(-way_m);
         }
@@ -290,7 +310,12 @@ fn measured(arguments: &AgeingArguments) -> anyhow::Result<AgeingReport> {
         .collect();
     let all: Vec<(Cause, f64)> = causes
         .iter()
-        .flat_map(|cause| cause.amounts(arguments.quick).iter().map(|amount| (*cause, *amount)))
+        .flat_map(|cause| {
+            cause
+                .amounts(arguments.quick)
+                .iter()
+                .map(|amount| (*cause, *amount))
+        })
         .collect();
     let mut progress = Progress::new(all.len() as u64 + 1, all.len() as f64 + 1.0);
     progress.begin("fresh", 1.0);
@@ -300,7 +325,10 @@ fn measured(arguments: &AgeingArguments) -> anyhow::Result<AgeingReport> {
     for (cause, amount) in all {
         progress.begin(&format!("{} {amount}", cause.name()), 1.0);
         let point = bench.aged(cause, amount, fresh.mean_percent)?;
-        progress.done(&format!("{:.2} %, FLIP {:.4}", point.mean_percent, point.flip));
+        progress.done(&format!(
+            "{:.2} %, FLIP {:.4}",
+            point.mean_percent, point.flip
+        ));
         points.push(point);
     }
     progress.finish();

@@ -150,13 +150,19 @@ mod tests {
         let base = Scene::default();
         let before = Scene::from_json(&still(&base, 0.0).expect("a document")).expect("a scene");
         let after = |cause: Cause, amount| cause.scene(&base, amount).expect("a scene");
-        assert_eq!(after(Cause::Samples, 4.0).to_document(), before.to_document());
+        assert_eq!(
+            after(Cause::Samples, 4.0).to_document(),
+            before.to_document()
+        );
         let wind = after(Cause::Wind, 6.0);
         assert_eq!(wind.layer_wind(0).speed_m_per_s(), 1.0);
         assert_eq!(wind.sun(), before.sun());
         let sun = after(Cause::Sun, 2.0);
         assert_eq!(sun.layers(), before.layers());
-        let turned = sun.sun().direction().angle_between(before.sun().direction());
+        let turned = sun
+            .sun()
+            .direction()
+            .angle_between(before.sun().direction());
         assert!((turned.to_degrees() - 2.0).abs() < 1e-9, "{turned}");
         for cause in [Cause::Coverage, Cause::Type, Cause::Evolution] {
             let changed = after(cause, 0.016);

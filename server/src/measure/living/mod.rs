@@ -183,7 +183,12 @@ pub(super) fn run(arguments: &LivingArguments) -> anyhow::Result<()> {
     if arguments.json {
         println!("{}", serde_json::to_string(&report)?);
     } else {
-        println!("{}\n{}, {}", report.told(), report.adapter, spoken(report.wall_s));
+        println!(
+            "{}\n{}, {}",
+            report.told(),
+            report.adapter,
+            spoken(report.wall_s)
+        );
     }
     Ok(())
 }
@@ -248,7 +253,10 @@ impl Bench<'_> {
                 picture.save(self.arguments.out.join(file))?;
             }
         }
-        ensure!(errors.flip.is_finite(), "a picture has values that are no numbers");
+        ensure!(
+            errors.flip.is_finite(),
+            "a picture has values that are no numbers"
+        );
         Ok(LivingPicture {
             at_s,
             viewer,
@@ -291,7 +299,9 @@ fn measured(arguments: &LivingArguments) -> anyhow::Result<LivingReport> {
     };
     let settings = arguments.settings(RendererKind::Cached);
     let cameras = bench.crowd.cameras(0.0)?;
-    let viewers = bench.living.begin_living(&cameras, arguments.size, &settings)?;
+    let viewers = bench
+        .living
+        .begin_living(&cameras, arguments.size, &settings)?;
     bench.living.settle_living()?;
     let texels_at_start = bench.living.totals().texels_updated;
     let mut progress = Progress::new(
