@@ -475,7 +475,13 @@ impl SphereCache {
         let tile = self.tiles.get_mut(&key)?;
         let stale = tile.visits == 0 || tile.generation != self.generation;
         let behind = tile.behind(self.moved);
-        if stale || age > AGE_RESTART || behind > BEHIND_RESTART {
+        // What ages slowly may be seen from farther away.
+        let restart = if self.drifts {
+            AGE_RESTART / tile.rate.min(1.0)
+        } else {
+            AGE_RESTART
+        };
+        if stale || age > restart || behind > BEHIND_RESTART {
             tile.samples = 0;
             tile.old_samples = 0.0;
         } else if !self.drifts && age > AGE_REST && tile.samples >= owed {
