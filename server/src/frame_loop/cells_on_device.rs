@@ -3,10 +3,13 @@
 use super::metering::Meter;
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
-use crate::cache::{Band, LAG_RAD, ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles};
+use crate::cache::{
+    Band, LAG_RAD, ProxySphere, SphereId, TileRequest, coarse_tiles, requested_tiles,
+};
 use crate::composite::view_frustum;
 use crate::march::{
-    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, drift_m_per_s, scene_uniform,
+    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, drift_m_per_s,
+    scene_uniform,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, Scene, ViewerId};
