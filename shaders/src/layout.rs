@@ -513,14 +513,20 @@ gpu_struct! {
         texels_per_side: f32,
         /// Slot in the atlas.
         slot: u32,
+        /// Where the rays of the sample start, in the cell's frame, m.
+        origin: [f32; 3],
         /// Index among the scene's proxies.
         proxy: u32,
+        /// Where those of the old texels started.
+        old_origin: [f32; 3],
         /// Index of the jittered sample.
         sample_index: u32,
         /// Share of the sample in the new value; 1 replaces.
         weight: f32,
         /// Place of the old texels on the working page.
         previous: u32,
+        /// Padding.
+        _pad_end: [u32; 2],
     }
 }
 

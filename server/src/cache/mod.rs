@@ -18,10 +18,11 @@ pub use pool::{Slot, SlotPool};
 pub use requests::{
     Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, requested_tiles, seen_blocks,
 };
-pub use sphere::{NO_TILE, PageTables, SphereCache, Want};
+pub use sphere::{AgeingRates, LAG_RAD, NO_TILE, PageTables, SphereCache, Want};
 
 use glam::{DVec2, DVec3};
 use skycell_protocol::CellId;
+use sphere::AuditScale;
 use std::collections::BTreeMap;
 
 /// Texels of a stored tile.
@@ -51,8 +52,10 @@ pub struct TileUpdate {
     pub sample_index: u32,
     /// Share of the sample in the new value.
     pub weight: f32,
-    /// Where the rays of the new value started on the mean, in the frame that drifts with the layer.
-    pub shown_from: DVec3,
+    /// Where the rays of the sample start, in the frame that drifts with the layer; the whole mixture is seen from there.
+    pub from: DVec3,
+    /// Where those of the old texels started.
+    pub old_from: DVec3,
 }
 
 /// All spheres of all cells over one pool of slots.
@@ -69,6 +72,7 @@ pub struct Caches {
     /// Samples that are to be taken, as of the last plan.
     backlog: u64,
     is_calm: bool,
+    audits: AuditScale,
 }
 
 /// Tiles that may lose their slots: the one unseen for longest last.
@@ -88,6 +92,7 @@ impl Caches {
             cell_tiles_max: u32::MAX,
             backlog: 0,
             is_calm: true,
+            audits: AuditScale::default(),
         }
     }
 
@@ -331,7 +336,8 @@ impl Caches {
                     slot: sample.slot,
                     sample_index: sample.index,
                     weight: sample.weight,
-                    shown_from: sample.shown_from,
+                    from: sample.from,
+                    old_from: sample.old_from,
                 });
             }
         }
@@ -367,6 +373,17 @@ impl Caches {
         let (_, id, key) = list.remove(place);
         self.evicted += 1;
         self.spheres.get_mut(&id)?.remove(&key)
+    }
+
+    /// An audit of some texels of a tile has found another mean deviation than was expected, both percent: the tile is taken to
+    /// age faster or more slowly from now on, within limits.
+    pub fn note_audit(&mut self, id: SphereId, key: &TileKey, expected: f64, found: f64) {
+        if let (Some(times), Some(sphere)) = (
+            self.audits.times(expected, found),
+            self.spheres.get_mut(&id),
+        ) {
+            sphere.note_audit(key, times);
+        }
     }
 
     /// Whether nothing is left to do for any sphere that has a reference.

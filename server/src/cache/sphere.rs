@@ -1,6 +1,10 @@
 //! The tiles of one proxy sphere: what its viewers want, what is resident, what an update would gain.
 
+mod expected;
 mod resampled;
+
+pub(super) use expected::AuditScale;
+pub use expected::{AgeingRates, LAG_RAD};
 
 use super::address::{LEVELS, TileKey};
 use super::pool::Slot;
@@ -13,7 +17,15 @@ use std::time::Instant;
 /// A step of age: the reference point has moved this far, as an angle seen from what a tile shows. About four pixels of a
 /// small picture.
 pub(super) const AGE_STEP_RAD: f64 = 0.012;
-/// While wind or rising noise age it all the time, a tile takes a sample when its mixture is this many steps of age behind, ...
+/// While wind carries the clouds past it, a tile takes a sample when the reference has moved by so many steps since the last, ...
+pub(super) const AGE_MOVED: f64 = 1.0;
+/// ... or by so many texels, if that is less: the texels of a tile are carried over by a fraction of that, and its gutters hold
+/// two of its neighbours'.
+const MOVED_TEXELS: f64 = 3.0;
+/// Of what the reference has moved by since the last sample, this share stays in a mixture that is carried over to where the
+/// next one is seen from: sides of clouds that were not seen, edges.
+const CARRIED_BEHIND: f64 = 0.25;
+/// While rising noise ages it, a tile takes a sample when its mixture is this many steps behind, ...
 pub(super) const AGE_DRIFTING: f64 = 2.0;
 /// ... of which a sample leaves at most so many. ...
 const AGE_KEPT: f64 = 1.5;
@@ -22,6 +34,8 @@ const AGE_KEPT: f64 = 1.5;
 pub(super) const AGE_REST: f64 = 0.3;
 /// Beyond so many steps old and new samples no longer show the same picture: what was there is replaced.
 pub(super) const AGE_RESTART: f64 = 5.0;
+/// Rays start no farther ahead of the wind, m.
+const LEAD_MAX_M: f64 = 300.0;
 /// What is accumulated anew begins with what was there, which counts as so many samples: of N new ones it is a share of
 /// 1/(2 N + 1) at the end, and until then no tile shows the noise of a single sample.
 const OLD_SAMPLES: f32 = 0.5;
@@ -57,7 +71,7 @@ pub(super) struct Tile {
     sampled: Option<Instant>,
     /// Reference point at the last sample, in the frame that drifts with the layer's wind.
     marched_from: DVec3,
-    /// Mean of the reference points of all that is in the mixture, in the same frame.
+    /// Where the rays of all that is in the mixture start or were carried over to, in the same frame.
     shown_from: DVec3,
     /// How far the noise had risen through the clouds at the last sample, m.
     evolved_m: f64,
@@ -72,6 +86,8 @@ pub(super) struct Tile {
     left_m: f64,
     /// Filled from other tiles, and not marched since.
     resampled: bool,
+    /// How fast it ages beside others: clear sky hardly. By what audits have found.
+    rate: f64,
 }
 
 impl Tile {
@@ -132,10 +148,9 @@ pub(super) enum Urgency {
     Missing,
     /// Shows an older scene.
     Stale,
-    /// Has fewer samples than it should.
-    Unfinished,
-    /// Seen from elsewhere than where the reference is now.
-    Aged,
+    /// Has fewer samples than it should, or shows a sky or is seen from where it was some time ago: the one of which the
+    /// largest error is expected comes first.
+    Wrong,
 }
 
 /// A sample that a tile takes.
@@ -146,8 +161,10 @@ pub(super) struct Sample {
     pub(super) index: u32,
     /// Its share of the new value.
     pub(super) weight: f32,
-    /// Mean reference point of the new value, in the frame that drifts with the layer.
-    pub(super) shown_from: DVec3,
+    /// Where its rays start, in the frame that drifts with the layer.
+    pub(super) from: DVec3,
+    /// Where those of the old texels started.
+    pub(super) old_from: DVec3,
 }
 
 /// An update that a sphere would like.
@@ -155,9 +172,8 @@ pub(super) struct Sample {
 pub(super) struct Candidate {
     pub(super) key: TileKey,
     pub(super) urgency: Urgency,
-    samples: u32,
-    /// Steps that it is behind a sky and a reference that move.
-    behind: u32,
+    /// Expected error times those who see it, percent.
+    seen_percent: f64,
     attention: f64,
     eccentricity_rad: f64,
     /// Samples that it still takes, with this one.
@@ -165,12 +181,11 @@ pub(super) struct Candidate {
 }
 
 impl Candidate {
-    /// Order of updates: urgency, then fewest samples, then farthest behind the sky, then what is seen most, then nearest to
-    /// the middle of a picture.
+    /// Order of updates: urgency, then the largest expected error, then what is seen most, then nearest to the middle of a
+    /// picture.
     pub(super) fn rank(&self, other: &Self) -> std::cmp::Ordering {
-        (self.urgency, self.samples)
-            .cmp(&(other.urgency, other.samples))
-            .then(other.behind.cmp(&self.behind))
+        (self.urgency.cmp(&other.urgency))
+            .then(other.seen_percent.total_cmp(&self.seen_percent))
             .then(other.attention.total_cmp(&self.attention))
             .then(self.eccentricity_rad.total_cmp(&other.eccentricity_rad))
             .then(self.key.cmp(&other.key))
@@ -199,6 +214,8 @@ pub struct SphereCache {
     evolved_m: f64,
     /// Whether wind carries the clouds past the reference or noise rises through them.
     drifts: bool,
+    /// Which way the wind lets the reference go, seen from the clouds; of length 1, or none.
+    course: DVec3,
     /// Where rays started when updates were last planned.
     reference: Option<DVec3>,
     /// How often the clouds have changed a little.
@@ -229,9 +246,11 @@ impl SphereCache {
         self.evolved_m = evolved_m;
     }
 
-    /// Whether wind carries the clouds past the reference or noise rises through them, so that tiles age all the time.
-    pub fn set_drifts(&mut self, drifts: bool) {
+    /// Whether wind carries the clouds past the reference or noise rises through them, so that tiles age all the time; and
+    /// which way the reference goes then, as seen from the clouds: a unit vector, or none.
+    pub fn set_drifts(&mut self, drifts: bool, course: DVec3) {
         self.drifts = drifts;
+        self.course = course;
     }
 
     /// Whether every wanted tile has had a sample since the clouds last changed.
@@ -408,23 +427,11 @@ impl SphereCache {
         is_calm: bool,
         into: &mut Vec<Candidate>,
     ) {
-        let age_max = if self.drifts {
-            AGE_DRIFTING * self.age_factor.max(1.0)
-        } else {
-            AGE_REST
-        };
-        let lasts = if is_calm {
-            1.0
-        } else {
-            self.age_factor.max(1.0)
-        };
         for (key, want) in &self.wanted {
             let coarse = key.level == 0;
             let tile = self.tiles.get(key);
             let have = self.samples_of(key).unwrap_or(0);
             let samples = want.samples(samples);
-            let behind = tile.map_or(0.0, |tile| tile.behind(self.moved));
-            let age = tile.map_or(0.0, |tile| self.age_steps(tile, reference, want.distance_m));
             let urgency = match tile {
                 None if coarse => Urgency::Coarse,
                 None => Urgency::Missing,
@@ -432,17 +439,25 @@ impl SphereCache {
                 Some(tile) if tile.visits == 0 => Urgency::Missing,
                 Some(_) if have == 0 && coarse => Urgency::Coarse,
                 Some(_) if have == 0 => Urgency::Stale,
-                Some(_) if have < samples => Urgency::Unfinished,
-                Some(tile) if tile.resampled || tile.refreshes != self.refreshes => Urgency::Aged,
-                Some(_) if age > age_max => Urgency::Aged,
-                Some(_) if behind > behind_max(is_calm, want) * lasts => Urgency::Aged,
+                Some(tile)
+                    if have < samples
+                        || tile.resampled
+                        || tile.refreshes != self.refreshes
+                        || self.is_aged(*key, tile, want, reference, is_calm) =>
+                {
+                    Urgency::Wrong
+                }
                 Some(_) => continue,
             };
+            let expected = tile
+                .filter(|_| urgency == Urgency::Wrong)
+                .map_or(0.0, |tile| {
+                    self.expected_percent(tile, reference, want.distance_m)
+                });
             into.push(Candidate {
                 key: *key,
                 urgency,
-                samples: have,
-                behind: (behind + age).min(f64::from(u32::MAX)) as u32,
+                seen_percent: expected * f64::from(want.viewers.max(1)),
                 attention: want.attention,
                 eccentricity_rad: want.eccentricity_rad,
                 owed: samples.saturating_sub(have).max(1),
@@ -452,11 +467,13 @@ impl SphereCache {
 
     /// Gives a tile a slot.
     pub(super) fn insert(&mut self, key: TileKey, slot: Slot, frame: u64) {
+        let rate = self.rate_of_parent(key);
         self.tiles.insert(
             key,
             Tile {
                 slot,
                 samples: 0,
+                rate,
                 old_samples: 0.0,
                 visits: 0,
                 generation: self.generation,
@@ -484,12 +501,20 @@ impl SphereCache {
         let want = self.wanted.get(&key).copied();
         let distance_m = want.map_or(1.0, |want| want.distance_m);
         let owed = want.map_or(samples, |want| want.samples(samples));
-        let age_m = self.age_m(self.tiles.get(&key)?, reference);
-        let age = steps_of_age(age_m, distance_m);
+        let old = self.tiles.get(&key)?;
+        let age = self.age_steps(old, reference, distance_m);
+        let behind_m = self.behind_m(old, reference);
+        let from = reference + self.course * Self::lead_m(key, old, distance_m);
         let tile = self.tiles.get_mut(&key)?;
         let stale = tile.visits == 0 || tile.generation != self.generation;
         let behind = tile.behind(self.moved);
-        if stale || age > AGE_RESTART || behind > BEHIND_RESTART {
+        // What ages slowly may be seen from farther away.
+        let restart = if self.drifts {
+            AGE_RESTART / tile.rate.min(1.0)
+        } else {
+            AGE_RESTART
+        };
+        if stale || age > restart || behind > BEHIND_RESTART {
             tile.samples = 0;
             tile.old_samples = 0.0;
         } else if !self.drifts && age > AGE_REST && tile.samples >= owed {
@@ -508,13 +533,16 @@ impl SphereCache {
         // A tile far behind comes as near as it may stay; one that is close takes little noise from one sample.
         let weight = weight.max(weight_that_leaves(BEHIND_KEPT, behind));
         let weight = if self.drifts {
-            weight.max(weight_that_leaves(AGE_KEPT, age))
+            weight.max(weight_that_leaves(
+                AGE_KEPT,
+                steps_of_age(behind_m, distance_m),
+            ))
         } else {
             weight
         };
         let kept = f64::from(1.0 - weight);
         tile.left = behind * kept;
-        tile.left_m = age_m * kept;
+        tile.left_m = behind_m * kept;
         tile.moved = self.moved;
         let index = if tile.samples < samples {
             tile.samples
@@ -528,11 +556,8 @@ impl SphereCache {
         tile.visits = tile.visits.wrapping_add(1).max(1);
         tile.generation = self.generation;
         tile.marched_from = reference;
-        tile.shown_from = if weight < 1.0 {
-            tile.shown_from.lerp(reference, f64::from(weight))
-        } else {
-            reference
-        };
+        let old_from = if weight < 1.0 { tile.shown_from } else { from };
+        tile.shown_from = from;
         tile.evolved_m = self.evolved_m;
         tile.refreshes = self.refreshes;
         tile.sampled = Some(Instant::now());
@@ -540,7 +565,8 @@ impl SphereCache {
             slot: tile.slot,
             index,
             weight,
-            shown_from: tile.shown_from,
+            from,
+            old_from,
         })
     }
 

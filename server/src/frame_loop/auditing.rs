@@ -16,11 +16,29 @@ const SEED: u64 = 1;
 /// Steps to the sun where the cache was marched with the sun volume.
 const AUDIT_SUN_STEPS: u32 = 32;
 
+/// Texels that are drawn of one tile after another: as many tell what becomes of the tile.
+const TEXELS_PER_TILE: usize = 8;
+
 /// Texels that are drawn for each that is audited, at most: some lie under the horizon.
 const TRIES_PER_TEXEL: usize = 4;
 
-/// Deviations of one pass, with the epoch in which it began.
-type Answer = (u64, Vec<f32>);
+/// A texel that was audited.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AuditedTexel {
+    /// Whose it is.
+    pub sphere: SphereId,
+    /// The tile.
+    pub key: TileKey,
+    /// How far from the reference what the tile holds is seen from, as an angle from its nearest part, rad.
+    pub off_rad: f64,
+    /// The deviation that was expected of the tile, percent.
+    pub expected_percent: f64,
+    /// How far the texel is from a fresh one, percent ([`ShownLight::deviation_percent`]).
+    pub deviation_percent: f64,
+}
+
+/// Texels of one pass, with the epoch in which it began.
+type Answer = (u64, Vec<AuditedTexel>);
 
 /// What the audit holds.
 pub(super) struct Audit {
@@ -64,11 +82,28 @@ impl Audit {
 }
 
 impl SkyRenderer {
-    /// Takes the answers that have come back.
-    pub(super) fn collect_audit(&mut self, now: Instant) {
-        while let Ok((epoch, deviations)) = self.audit.answers.try_recv() {
+    /// Takes the answers that have come back, and lets tiles age as they were found to. Returns them.
+    pub(super) fn collect_audit(&mut self, now: Instant) -> Vec<AuditedTexel> {
+        let mut all = Vec::new();
+        while let Ok((epoch, texels)) = self.audit.answers.try_recv() {
+            let deviations: Vec<f32> = texels.iter().map(|t| t.deviation_percent as f32).collect();
             self.audit.window.add(epoch, &deviations, now);
+            if epoch != self.audit.window.epoch() {
+                continue;
+            }
+            // Texels of one tile follow one another.
+            for of_tile in texels.chunk_by(|a, b| a.key == b.key) {
+                let mean = |value: fn(&AuditedTexel) -> f64| {
+                    of_tile.iter().map(value).sum::<f64>() / of_tile.len() as f64
+                };
+                let (id, key) = (of_tile[0].sphere, of_tile[0].key);
+                let expected = mean(|texel| texel.expected_percent);
+                let found = mean(|texel| texel.deviation_percent);
+                self.caches.note_audit(id, &key, expected, found);
+            }
+            all.extend(texels);
         }
+        all
     }
 
     /// Marches at most `texels_max` settled texels of one layer of one cell again, at random places of what viewers want.
@@ -99,22 +134,27 @@ impl SkyRenderer {
         };
         let random = &mut self.audit.random;
         let count = texels_max.min(AUDIT_TEXELS_MAX);
+        let mut drawn = tiles[0];
         // Texels under the horizon repeat what stands on it, and nobody sees them.
-        let work: Vec<AuditWork> = (0..TRIES_PER_TEXEL * count)
-            .filter_map(|_| {
-                let (key, slot) = tiles[random.usize(..tiles.len())];
+        let work: Vec<(TileKey, AuditWork)> = (0..TRIES_PER_TEXEL * count)
+            .filter_map(|attempt| {
+                if attempt % TEXELS_PER_TILE == 0 {
+                    drawn = tiles[random.usize(..tiles.len())];
+                }
+                let (key, slot) = drawn;
                 let texel = [(); 2].map(|()| random.u32(..TILE_INTERIOR));
                 let within = DVec2::from_array(texel.map(f64::from)) + 0.5;
                 let direction = key.direction(within / f64::from(TILE_INTERIOR));
                 let seen = (proxy.point(direction) - eye).normalize_or_zero();
-                proxy.may_show(eye, seen).then(|| AuditWork {
+                let work = AuditWork {
                     tile: [u32::from(key.x), u32::from(key.y)],
                     texel: texel.map(|t| GUTTER + t),
                     texels_per_side: TileKey::texels_per_side(key.level) as f32,
                     slot: slot.0,
                     proxy: sphere.proxy,
                     ..AuditWork::default()
-                })
+                };
+                proxy.may_show(eye, seen).then_some((key, work))
             })
             .take(count)
             .collect();
@@ -141,10 +181,16 @@ impl SkyRenderer {
             texels_per_side: TileKey::texels_per_side(update.key.level) as f32,
             ..AuditWork::default()
         };
-        self.march_audit(update.sphere, &[work]);
+        self.march_audit(update.sphere, &[(update.key, work)]);
     }
 
-    fn march_audit(&mut self, sphere: SphereId, work: &[AuditWork]) -> Option<()> {
+    fn march_audit(&mut self, sphere: SphereId, work: &[(TileKey, AuditWork)]) -> Option<()> {
+        let reference = self.drifting_reference(sphere)?;
+        let cache = self.caches.sphere(sphere)?;
+        let expected = |key: &TileKey| cache.expected(key, reference).unwrap_or_default();
+        let of_texels: Vec<(TileKey, (f64, f64))> =
+            work.iter().map(|(key, _)| (*key, expected(key))).collect();
+        let work: Vec<AuditWork> = work.iter().map(|(_, work)| *work).collect();
         let scene_index = self.proxies.get(sphere.proxy as usize)?.scene_index;
         let cell = self.active_cells.get(&sphere.cell)?;
         let mut scene = finer(cell.buffers.scene()?, self.scene.light().sun_steps());
@@ -180,7 +226,7 @@ impl SkyRenderer {
                         &cell.settings,
                     ))),
                 scene: &scene,
-                work,
+                work: &work,
             },
         )?;
         self.timing.resolve(&mut encoder);
@@ -197,20 +243,31 @@ impl SkyRenderer {
         let (epoch, answer) = (self.audit.window.epoch(), self.audit.answer.clone());
         self.audit.march.read(target, work.len(), move |samples| {
             // A renderer that is gone needs no answer.
-            let _ = answer.send((epoch, deviations_percent(light, &samples)));
+            let deviations = deviations_percent(light, &samples);
+            let texels = of_texels.into_iter().zip(deviations);
+            let texels = texels.map(|((key, (expected_percent, off_rad)), deviation_percent)| {
+                AuditedTexel {
+                    sphere,
+                    key,
+                    off_rad,
+                    expected_percent,
+                    deviation_percent,
+                }
+            });
+            let _ = answer.send((epoch, texels.collect()));
         });
         Some(())
     }
 }
 
-fn deviations_percent(light: ShownLight, samples: &[AuditSample]) -> Vec<f32> {
+fn deviations_percent(light: ShownLight, samples: &[AuditSample]) -> Vec<f64> {
     samples
         .chunks_exact(AUDIT_PLACES)
         .map(|places| {
             let fresh = places.iter().map(|p| Texel::new(p.fresh, p.fresh_distance));
             let fresh = Texel::mean(fresh);
             let cached = Texel::new(places[0].cached, places[0].cached_distance);
-            light.deviation_percent(&cached, &fresh) as f32
+            light.deviation_percent(&cached, &fresh)
         })
         .collect()
 }

@@ -4,11 +4,13 @@ use super::metering::Meter;
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{
-    Band, ProxySphere, SphereId, TileRequest, Wish, coarse_tiles, coarsened, requested_tiles,
+    Band, LAG_RAD, ProxySphere, SphereId, TileRequest, Wish, coarse_tiles, coarsened,
+    requested_tiles,
 };
 use crate::composite::view_frustum;
 use crate::march::{
-    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, Side, scene_uniform,
+    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, Side, drift_m_per_s,
+    scene_uniform,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, Scene, ViewerId};
@@ -31,6 +33,8 @@ const AGES_INTERVAL: Duration = Duration::from_millis(500);
 /// Base and top of a layer that are this far apart in a viewer's picture and no farther look as they do from the reference,
 /// pixels.
 const PARALLAX_PIXELS: f64 = 1.0;
+/// The same where wind carries the clouds past all viewers: their edges move by it to and fro.
+const WIND_PIXELS: f64 = 0.25;
 /// Layers are not looked at from nearer, m.
 const LAYER_NEAREST_M: f64 = 10.0;
 /// A reference that is late goes 63 % of its way in this time, s, ...
@@ -80,6 +84,8 @@ pub(super) struct ActiveCell {
     pub(super) came_from_m: DVec3,
     /// The reference has stood still while it should have moved, and follows.
     is_late: bool,
+    /// How far what its texels show may be seen from elsewhere than the reference because of the wind, rad.
+    wind_lag_rad: f64,
     /// Of a cell that is shown as it was before it became another: which one, and its exposure.
     pub(super) stands_for: Option<(CellId, f64)>,
 }
@@ -152,7 +158,9 @@ pub(super) fn parallax_steps(
         } else {
             (1.0 / base_m - 1.0 / top_m).abs()
         };
-        away_m * between_per_m > PARALLAX_PIXELS * pixel_rad
+        // Seen from what hangs lowest, the wind's lag is an angle.
+        let wind_rad = cell.wind_lag_rad * base_m.min(top_m) * between_per_m;
+        away_m * between_per_m > PARALLAX_PIXELS * pixel_rad || wind_rad > WIND_PIXELS * pixel_rad
     });
     if is_seen {
         viewer.quality.settings.parallax_steps
@@ -188,6 +196,7 @@ impl SkyRenderer {
             lost: 0,
             came_from_m: reference_m,
             is_late: false,
+            wind_lag_rad: 0.0,
             stands_for: None,
         }
     }
@@ -229,6 +238,24 @@ impl SkyRenderer {
 
     pub(super) fn touch_all_requests(&mut self) {
         for cell in self.active_cells.values_mut() {
+            cell.requests_changed = true;
+        }
+    }
+
+    /// How far what texels show may be seen from elsewhere than the reference because of the wind, rad; nothing where viewers do
+    /// not search for it.
+    fn wind_lag_rad(&self) -> f64 {
+        if self.is_living && self.wind_is_searched && self.wind_speed_max_m_per_s() > 0.0 {
+            LAG_RAD
+        } else {
+            0.0
+        }
+    }
+
+    /// What viewers need is looked up again, where the wind has carried it by now.
+    pub(super) fn look_up_all(&mut self) {
+        for cell in self.active_cells.values_mut() {
+            cell.coarse.clear();
             cell.requests_changed = true;
         }
     }
@@ -421,6 +448,7 @@ impl SkyRenderer {
         if cell.requests_changed {
             self.refresh_cell_settings(id, cell);
         }
+        cell.wind_lag_rad = self.wind_lag_rad();
         let mut uniform = scene_uniform(
             &self.scene,
             &self.active,
@@ -526,7 +554,11 @@ impl SkyRenderer {
         for (proxy, kept) in (0..).zip(&self.proxies) {
             let sphere = self.caches.sphere_mut(SphereId { cell: id, proxy });
             sphere.set_evolved(self.drifts[kept.scene_index].y);
-            sphere.set_drifts(drifts);
+            // Seen from the clouds, the reference goes against the wind.
+            let wind = drift_m_per_s(&self.scene, kept.scene_index).with_y(0.0);
+            let against = -(wind * self.sky_time.wind_rate()).normalize_or_zero();
+            let course = if self.is_living { against } else { DVec3::ZERO };
+            sphere.set_drifts(drifts, course);
         }
         let now = Instant::now();
         let ages = (self.ages_are_shown(id)

@@ -89,8 +89,10 @@ impl Driven {
         configure(&mut config);
         let gpu = crate::gpu::Gpu::open_blocking().expect("a device");
         let renderer = SkyRenderer::new(gpu, config, scene_of(document), 1, placed);
+        let mut renderer = renderer.expect("a renderer");
+        renderer.is_living = true;
         Self {
-            renderer: renderer.expect("a renderer"),
+            renderer,
             last: Arc::default(),
         }
     }

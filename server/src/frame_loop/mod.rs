@@ -24,6 +24,7 @@ mod stats;
 
 mod still;
 mod still_followed;
+mod still_living;
 mod still_settings;
 mod still_shared;
 mod sun_volumes;
@@ -31,8 +32,10 @@ mod transitions;
 mod viewers_on_device;
 mod views;
 
+pub use auditing::AuditedTexel;
 pub use pacing::FrameLoop;
 pub use still::StillRenderer;
+pub use still_living::LivingViewers;
 pub use still_settings::{
     LayerFigures, RayFigures, RayPicture, StillFigures, StillPicture, StillRay, StillSettings,
 };

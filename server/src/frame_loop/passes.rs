@@ -51,7 +51,7 @@ impl SkyRenderer {
         self.atlas.fit(&self.gpu, self.caches.slots_needed());
         for update in &updates {
             if let Some(anchor_m) = self.drifting_anchor(update.sphere) {
-                let from_anchor_m = update.shown_from - anchor_m;
+                let from_anchor_m = update.from - anchor_m;
                 self.atlas.set_origin(&self.gpu, update.slot, from_anchor_m);
             }
         }
@@ -71,6 +71,8 @@ impl SkyRenderer {
                             layer_features(&self.scene, scene_index, &cell.settings),
                         )),
                         proxy: sphere.proxy,
+                        frame: cell.frame,
+                        drift_m: self.drifts[scene_index].with_y(0.0),
                         updates,
                     })
                 })

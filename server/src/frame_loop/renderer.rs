@@ -91,6 +91,11 @@ pub(super) struct SkyRenderer {
     pub(super) mip_bias: f64,
     /// Of single pictures; viewers have their own.
     pub(super) parallax_steps: u32,
+    /// Whether time passes from frame to frame: under wind, rays then start ahead of the reference. Not for single pictures.
+    pub(super) is_living: bool,
+    /// Whether viewers look for what texels show where the wind alone has moved it: with a software driver that costs more
+    /// than it is worth.
+    pub(super) wind_is_searched: bool,
     /// How rays are marched, but for what a quality sets.
     pub(super) settings: MarchSettings,
     /// How screen-space pictures come about.
@@ -176,6 +181,8 @@ impl SkyRenderer {
             frame_filter: base.frame_filter,
             mip_bias: base.mip_bias,
             parallax_steps: base.parallax_steps,
+            is_living: false,
+            wind_is_searched: !gpu.is_software(),
             settings: MarchSettings {
                 steps: base.march_steps,
                 sun_steps: base.sun_steps,

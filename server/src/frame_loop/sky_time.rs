@@ -167,6 +167,7 @@ impl SkyRenderer {
         revision: u64,
     ) -> Result<(), GpuError> {
         self.sky_time.shown = Some(Moment::MIN);
+        self.is_living = true;
         self.set_scene(document, revision)
     }
 
@@ -285,6 +286,20 @@ impl SkyRenderer {
         }
         self.ideal_active = ideal;
         // What is other for a layer is told by its steps; places alone may have changed.
+        self.take_maps();
+        let cloud_altitude_m = self
+            .active
+            .first()
+            .map_or(0.0, |layer| layer.proxy_altitude_m);
+        self.take_light(cloud_altitude_m);
+        self.age_by(steps);
+        self.audit.tiles_changed();
+        // What exposure follows has moved.
+        self.prepare_meters()
+    }
+
+    /// Lets marches read the maps that the scene of now names.
+    pub(super) fn take_maps(&mut self) {
         let maps = placed_weather(&self.scene, &self.active);
         let sheets = placed_sheets(&self.scene, &self.active);
         let layout = &self.pipelines.field_layout;
@@ -297,15 +312,6 @@ impl SkyRenderer {
                 cell.buffers.set_field_group(&self.field.bind_group);
             }
         }
-        let cloud_altitude_m = self
-            .active
-            .first()
-            .map_or(0.0, |layer| layer.proxy_altitude_m);
-        self.take_light(cloud_altitude_m);
-        self.age_by(steps);
-        self.audit.tiles_changed();
-        // What exposure follows has moved.
-        self.prepare_meters()
     }
 
     /// The texels of each layer are behind by its steps.

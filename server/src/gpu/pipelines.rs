@@ -268,7 +268,6 @@ impl Pipelines {
                 "texels",
                 &[
                     storage(true),
-                    uniform(),
                     sampled(D2, true),
                     sampled(D2, false),
                     stored(wgpu::TextureFormat::Rgba16Float),

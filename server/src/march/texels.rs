@@ -2,9 +2,11 @@
 
 use super::atlas::{Atlas, TILES_PER_PAGE};
 use super::cell_buffers::CellBuffers;
+use super::frame::CellFrame;
 use crate::cache::{TileKey, TileUpdate};
 use crate::gpu::{Gpu, PipelineKey, Pipelines, TimedPass, TimingRing};
 use bytemuck::bytes_of;
+use glam::DVec3;
 use skycell_shaders::layout::TileWork;
 use skycell_shaders::{Features, Kernel};
 
@@ -39,8 +41,20 @@ pub struct TexelGroup<'a> {
     pub features: Features,
     /// Index among the scene's proxies.
     pub proxy: u32,
+    /// The cell's frame.
+    pub frame: CellFrame,
+    /// Where the wind has carried the layer, level.
+    pub drift_m: DVec3,
     /// The tiles.
     pub updates: Vec<TileUpdate>,
+}
+
+impl TexelGroup<'_> {
+    /// A place of the frame that drifts with the layer, in the cell's.
+    fn in_cell(&self, drifting_m: DVec3) -> [f32; 3] {
+        let world_m = drifting_m + self.drift_m;
+        self.frame.from_world(world_m).as_vec3().to_array()
+    }
 }
 
 /// The buffer of work of one batch at a time.
@@ -92,10 +106,13 @@ impl TexelMarch {
                     tile: [u32::from(update.key.x), u32::from(update.key.y)],
                     texels_per_side: TileKey::texels_per_side(update.key.level) as f32,
                     slot: update.slot.0,
+                    origin: group.in_cell(update.from),
                     proxy: group.proxy,
+                    old_origin: group.in_cell(update.old_from),
                     sample_index: update.sample_index,
                     weight: update.weight,
                     previous: place,
+                    ..TileWork::default()
                 });
                 place += 1;
             }
@@ -109,7 +126,7 @@ impl TexelMarch {
         let [previous_radiance, previous_distance] = atlas.previous_views();
         let bind_groups: Vec<wgpu::BindGroup> = ranges
             .iter()
-            .map(|(group, start, count)| {
+            .map(|(_, start, count)| {
                 let size = size_of::<TileWork>();
                 let resources = [
                     wgpu::BindingResource::Buffer(wgpu::BufferBinding {
@@ -117,7 +134,6 @@ impl TexelMarch {
                         offset: (start * size) as u64,
                         size: std::num::NonZeroU64::new((count * size) as u64),
                     }),
-                    group.cell.reference.as_entire_binding(),
                     wgpu::BindingResource::TextureView(&previous_radiance),
                     wgpu::BindingResource::TextureView(&previous_distance),
                     wgpu::BindingResource::TextureView(&radiance),

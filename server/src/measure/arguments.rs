@@ -1,6 +1,8 @@
 //! What `skycell-server measure` is asked for.
 
+use super::ageing::AgeingArguments;
 use super::distance::DistanceArguments;
+use super::living::LivingArguments;
 use super::metrics::COMPARED_SIDE_MIN;
 use super::octaves::OctavesArguments;
 use super::plan::{Axis, Extent};
@@ -58,6 +60,17 @@ pub enum Measurement {
     /// is marched and kept for it.
     #[command(after_help = "Example: skycell-server measure proxies --size 160x90 --out proxies")]
     Proxies(Box<ProxiesArguments>),
+    /// How fast cached texels age, by each cause: how far they are from fresh ones, and pictures from right ones, when the wind
+    /// has blown, noise has risen, the sun has moved, clouds have become more, and nothing was marched: ageing.json in the
+    /// folder of --out, beside the rates that caches reckon with.
+    #[command(after_help = "Example: skycell-server measure ageing --quick --out ageing")]
+    Ageing(Box<AgeingArguments>),
+    /// What caches cost that live: viewers of one cell look around under wind for simulated minutes, texels are counted against
+    /// the rays of a screen-space renderer for each, and pictures are compared with its: living.json in the folder of --out.
+    #[command(
+        after_help = "Example: skycell-server measure living --seconds 10 --size 96x54 --out living"
+    )]
+    Living(Box<LivingArguments>),
     /// How far the light that clouds scatter more than once is from the path tracer's, over shapes from thin to thick.
     #[command(after_help = "Example: skycell-server measure octaves --fit")]
     Octaves(OctavesArguments),

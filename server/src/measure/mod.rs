@@ -3,10 +3,12 @@
 //! `plan` says which points, `settings` what a point is, `reference` what they are compared with; `sweep` renders and
 //! compares them by `metrics`, `store` keeps them; `front` finds what nothing beats; `report` and `quality` write it down.
 
+mod ageing;
 mod arguments;
 pub mod distance;
 pub mod front;
 mod gallery;
+pub mod living;
 pub mod metrics;
 pub mod octaves;
 pub mod plan;
@@ -36,6 +38,8 @@ pub fn run(arguments: &MeasureArguments) -> anyhow::Result<()> {
         Measurement::Distance(arguments) => distance::run(arguments),
         Measurement::Scaling(arguments) => scaling::run(arguments),
         Measurement::Proxies(arguments) => proxies::run(arguments),
+        Measurement::Ageing(arguments) => ageing::run(arguments),
+        Measurement::Living(arguments) => living::run(arguments),
         Measurement::Octaves(arguments) => octaves::run(arguments),
     }
 }

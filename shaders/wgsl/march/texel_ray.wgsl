@@ -1,6 +1,6 @@
 #define_import_path skycell::texel_ray
 #import skycell::scene::Proxy
-#import skycell::octahedral::direction_from_octahedral
+#import skycell::octahedral::{direction_from_octahedral, octahedral_from_direction}
 #import skycell::shell::altitude_m
 #import skycell::surface::surface_point
 
@@ -42,4 +42,11 @@ fn texel_direction(planet_radius_m: f32, proxy: Proxy, reference: vec3f, square:
 #else
     return above_horizon(planet_radius_m, direction, reference);
 #endif
+}
+
+/// The place of the octahedral square, 0...1, whose texel shows a point to rays that start at an origin.
+fn place_on_surface(planet_radius_m: f32, proxy: Proxy, origin: vec3f, point: vec3f) -> vec2f {
+    let direction = normalize(point - origin);
+    let on_surface = surface_point(planet_radius_m, proxy, origin, altitude_m(planet_radius_m, origin), direction);
+    return octahedral_from_direction(on_surface - proxy.anchor);
 }

@@ -12,6 +12,7 @@ impl SphereCache {
             generation: self.generation,
             evolved_m: self.evolved_m,
             drifts: self.drifts,
+            course: self.course,
             refreshes: self.refreshes,
             reference: self.reference,
             moved: self.moved,
@@ -113,6 +114,7 @@ impl SphereCache {
                 left: most(&|tile| tile.behind(old.moved)),
                 left_m: most(&|tile| old.age_m(tile, reference)),
                 resampled: true,
+                rate: most(&|tile| tile.rate),
             },
         );
     }

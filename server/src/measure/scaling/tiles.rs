@@ -271,7 +271,8 @@ impl<'a> CrowdTiles<'a> {
                     proxy: index as u32,
                 });
                 cache.set_evolved(drifts[index].y);
-                cache.set_drifts(drifts[index] != DVec3::ZERO);
+                let course = -drifts[index].with_y(0.0).normalize_or_zero();
+                cache.set_drifts(drifts[index] != DVec3::ZERO, course);
                 cache.set_wanted(&coarse, readers.iter().flat_map(|tiles| &tiles[index]));
                 let (requested, unique) = cache.requested_and_unique();
                 self.sums.requested += requested;
