@@ -393,10 +393,10 @@ gpu_struct! {
         layer: u32,
         /// Radius of a dome, m.
         radius_m: f32,
-        /// Fills to 16 bytes.
-        pad_y: u32,
-        /// Fills to 16 bytes.
-        pad_z: u32,
+        /// Lowest altitude of cloud to be looked for, m.
+        seen_low_altitude_m: f32,
+        /// Highest altitude of it, m.
+        seen_high_altitude_m: f32,
     }
 }
 

@@ -137,6 +137,7 @@ pub fn ground_key(key: PipelineKey) -> PipelineKey {
             overlap: false,
             catmull_rom: false,
             parallax: false,
+            phase_of_reference: false,
             moon: false,
             stars: false,
             ..key.features

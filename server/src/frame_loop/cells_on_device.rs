@@ -431,7 +431,7 @@ impl SkyRenderer {
                         .zip(&self.proxies)
                         .map(|(sphere, proxy)| {
                             let sphere = ProxySphere {
-                                seen_between_m: (steps > 0).then_some(proxy.between_m),
+                                seen_between_m: (steps > 0).then_some(proxy.seen_between_m),
                                 ..*sphere
                             };
                             requested_tiles(&frustum, &sphere, mip_bias)

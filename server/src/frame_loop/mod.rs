@@ -22,6 +22,7 @@ mod stats;
 
 mod still;
 mod still_followed;
+mod still_frames;
 mod still_settings;
 mod still_shared;
 mod sun_volumes;
@@ -31,6 +32,7 @@ mod views;
 
 pub use pacing::FrameLoop;
 pub use still::StillRenderer;
+pub use still_frames::{FrameCosts, FrameFigures, StillFrame};
 pub use still_settings::{
     LayerFigures, RayFigures, RayPicture, StillFigures, StillPicture, StillRay, StillSettings,
 };

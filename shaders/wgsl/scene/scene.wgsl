@@ -204,8 +204,9 @@ struct Proxy {
     layer: u32,
     /// Of a dome, which is a sphere about the anchor, m.
     radius_m: f32,
-    pad_y: u32,
-    pad_z: u32,
+    /// Altitudes between which there is cloud to be looked for, m.
+    seen_low_altitude_m: f32,
+    seen_high_altitude_m: f32,
 }
 
 struct Scene {
