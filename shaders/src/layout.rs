@@ -397,6 +397,14 @@ gpu_struct! {
         from_above: u32,
         /// From above: rays that pass over the shell have their places no nearer than this, m.
         least_m: f32,
+        /// Lowest altitude of cloud to be looked for, m.
+        seen_low_altitude_m: f32,
+        /// Highest altitude of it, m.
+        seen_high_altitude_m: f32,
+        /// Fills to 16 bytes.
+        pad_x: u32,
+        /// Fills to 16 bytes.
+        pad_y: u32,
     }
 }
 

@@ -212,12 +212,15 @@ pub struct Features {
     pub screen_space: bool,
     /// Maps, noise and voxels are interpolated in f32 instead of by the sampler's few bits.
     pub exact_interpolation: bool,
-    /// Texture reads of the march are counted.
+    /// Texture reads of the march, or of the cache by the composite, are counted.
     pub count_reads: bool,
     /// Viewers look for what cached texels show along their own rays (composite).
     pub parallax: bool,
     /// Some layer is below the viewer (march of texels, which may be below; composite of the cache).
     pub above: bool,
+    /// Single scattering is coloured with the phase of the ray that was marched instead of the viewer's own, as where the
+    /// phase is kept in texels (composite of the cache, one part a layer).
+    pub phase_of_reference: bool,
     /// Rays come from a list instead of a pinhole camera (screen-space renderer).
     pub ray_list: bool,
     /// Rays fill a frame of a temporal window (screen-space renderer).
@@ -262,6 +265,7 @@ impl Default for Features {
             screen_space: false,
             parallax: false,
             above: false,
+            phase_of_reference: false,
             exact_interpolation: false,
             count_reads: false,
             ray_list: false,
@@ -307,6 +311,7 @@ impl Features {
                 screen_space: bits & 4 != 0,
                 parallax: bits & 8 != 0,
                 above: (bits ^ (bits >> 2) ^ count) & 1 != 0,
+                phase_of_reference: bits & 12 == 0,
                 ray_list: bits & 12 == 4,
                 window: bits & 12 == 12,
                 window_frames: bits + 1,
@@ -363,8 +368,23 @@ impl Features {
             ("SCREEN_SPACE", self.screen_space),
             ("PARALLAX", self.parallax && !self.screen_space),
             ("ABOVE", self.above && !self.screen_space),
+            (
+                "PHASE_OF_REFERENCE",
+                self.phase_of_reference && !self.screen_space,
+            ),
+            (
+                "SLOT_ORIGINS",
+                (self.parallax || self.phase_of_reference) && !self.screen_space,
+            ),
             ("EXACT_INTERPOLATION", self.exact_interpolation),
             ("COUNT_READS", self.count_reads),
+            (
+                "CACHE_READS",
+                self.count_reads
+                    && self.linear_output
+                    && !self.screen_space
+                    && self.shown == Shown::Picture,
+            ),
             ("RAY_LIST", self.ray_list),
             ("WINDOW", self.window),
             ("WINDOW_AT_REST", self.window_at_rest),
@@ -534,6 +554,7 @@ pub fn compose_edited(
         physical_sky: features.physical_sky && is_picture,
         moon: features.moon && is_picture,
         stars: features.stars && is_picture,
+        phase_of_reference: features.phase_of_reference && is_picture,
         ..features
     }
     .definitions();

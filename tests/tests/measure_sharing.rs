@@ -1,7 +1,7 @@
 //! `skycell-server measure distance` and `measure scaling` from the command line to the page, on whatever renders here.
 
 use serde_json::Value;
-use skycell_server::cells::ErrorCurve;
+use skycell_server::cells::ErrorCurves;
 use skycell_tests::server::{binary, target_dir};
 use std::path::Path;
 use std::process::{Command, Output};
@@ -56,7 +56,8 @@ fn the_error_grows_with_the_distance_and_cells_get_their_limit_from_it() -> anyh
     assert!(page.contains("<svg") && !page.contains("src=\"http") && !page.contains("<script"));
 
     // What a server would make of it: the widest cell is as wide as was measured, and errors between give widths between.
-    let curve = ErrorCurve::from_json_text(&std::fs::read_to_string(&curve)?)?;
+    let curves = ErrorCurves::from_json_text(&std::fs::read_to_string(&curve)?)?;
+    let curve = curves.of(1, 0);
     assert_eq!(curve.limit(1.0).radius_m(), 3_000.0);
     let flip = curve.flip(500.0, 0.0);
     assert!((curve.limit(flip).radius_m() - 500.0).abs() < 1.0, "{flip}");

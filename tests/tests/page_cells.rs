@@ -115,14 +115,18 @@ async fn an_error_that_somebody_asks_for_narrows_cells_as_long_as_they_are_there
     let strict = Viewer::join_as(&server, hello).await?;
     let narrow = cells(3, "a cell for each").await?;
     let radius_m = |cells: &serde_json::Value| cells[0]["radius_m"].as_f64().unwrap_or(f64::NAN);
-    let asked_m = skycell_server::cells::ErrorCurve::embedded()
-        .limit(0.02)
-        .radius_m();
+    // Software drivers search at fewer places.
+    let curves = skycell_server::cells::ErrorCurves::embedded();
+    let asked_m = [4, 16].map(|steps| curves.of(1, steps).limit(0.02).radius_m());
     assert_eq!(
         radius_m(&shared),
         skycell_server::cells::CellLimit::default().radius_m()
     );
-    assert!((radius_m(&narrow) - asked_m).abs() < 1e-6 && asked_m < 750.0);
+    let is_asked = |m: &f64| (radius_m(&narrow) - m).abs() < 1e-6;
+    assert!(
+        asked_m.iter().any(is_asked) && asked_m[1] < 750.0,
+        "{narrow}"
+    );
     strict.close().await;
     cells(1, "one cell again").await?;
     first.close().await;

@@ -5,7 +5,9 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// The version of the file that is read.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+/// More ways to read a cache than anybody measures.
+const CURVES_MAX: usize = 64;
 /// More points than anybody measures.
 const POINTS_MAX: usize = 256;
 /// Cells that form are no narrower sideways, m, whatever error is asked for: viewers at one place must be able to share.
@@ -33,6 +35,14 @@ pub enum ErrorCurveError {
     /// A version that is not read.
     #[error("the curve of errors over distance has version {0}; allowed: {VERSION}")]
     Version(u32),
+    /// No curve, too many, or none of a layer that is kept whole and read on its sphere alone.
+    #[error(
+        "there are {count} curves of errors over distance; allowed: 1 to {CURVES_MAX}, among them one of 1 slab and 0 parallax_steps"
+    )]
+    Curves {
+        /// How many.
+        count: usize,
+    },
     /// Too few or too many points.
     #[error("the curve of errors {way} has {count} points; allowed: 2 to {POINTS_MAX}")]
     Points {
@@ -63,8 +73,20 @@ pub enum ErrorCurveError {
 pub struct ErrorCurveFile {
     /// Of the format.
     pub version: u32,
-    /// By what, and of which cache.
+    /// By what.
     pub measured_with: String,
+    /// One for each way to read a cache.
+    pub curves: Vec<ReadingCurve>,
+}
+
+/// The errors of one way to read a cache.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReadingCurve {
+    /// Slabs that each layer is cut into.
+    pub slabs: u32,
+    /// Most places of a viewer's search in each of them; 0: proxy spheres alone.
+    pub parallax_steps: u32,
     /// The largest error of all level directions and views, by distance.
     pub sideways: Vec<ErrorAt>,
     /// The same upwards.
@@ -74,13 +96,74 @@ pub struct ErrorCurveFile {
 impl ErrorCurveFile {
     /// Of what was measured.
     #[must_use]
-    pub fn new(measured_with: String, sideways: Vec<ErrorAt>, up: Vec<ErrorAt>) -> Self {
+    pub fn new(measured_with: String, curves: Vec<ReadingCurve>) -> Self {
         Self {
             version: VERSION,
             measured_with,
-            sideways,
-            up,
+            curves,
         }
+    }
+}
+
+/// Error over distance for each way to read a cache that was measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ErrorCurves {
+    /// Slabs, places of a search, and the curve; rising.
+    curves: Vec<((u32, u32), ErrorCurve)>,
+}
+
+impl ErrorCurves {
+    /// The curves that the server was built with.
+    #[must_use]
+    pub fn embedded() -> Self {
+        match Self::from_json_text(include_str!("../../data/distance.json")) {
+            Ok(curves) => curves,
+            // The file is a part of the program; a test holds it right.
+            Err(error) => unreachable!("{error}"),
+        }
+    }
+
+    /// Reads curves.
+    ///
+    /// # Errors
+    /// Says what is wrong and what is allowed.
+    pub fn from_json_text(text: &str) -> Result<Self, ErrorCurveError> {
+        let file: ErrorCurveFile = serde_json::from_str(text)?;
+        if file.version != VERSION {
+            return Err(ErrorCurveError::Version(file.version));
+        }
+        let count = file.curves.len();
+        let has_simplest = file
+            .curves
+            .iter()
+            .any(|curve| (curve.slabs, curve.parallax_steps) == (1, 0));
+        if !has_simplest || count > CURVES_MAX {
+            return Err(ErrorCurveError::Curves { count });
+        }
+        let mut curves = file
+            .curves
+            .into_iter()
+            .map(|curve| {
+                let reading = (curve.slabs, curve.parallax_steps);
+                Ok((reading, ErrorCurve::new(curve.sideways, curve.up)?))
+            })
+            .collect::<Result<Vec<_>, ErrorCurveError>>()?;
+        curves.sort_by_key(|(reading, _)| *reading);
+        Ok(Self { curves })
+    }
+
+    /// The curve of viewers who read layers of so many slabs and search at so many places: of ways with neither more slabs
+    /// nor more places, the one that is least wrong half the way to the farthest distance.
+    #[must_use]
+    pub fn of(&self, slabs: u32, parallax_steps: u32) -> &ErrorCurve {
+        let (_, simplest) = &self.curves[0];
+        let middle_m = 0.5 * simplest.farthest_m();
+        self.curves
+            .iter()
+            .filter(|((s, p), _)| *s <= slabs.max(1) && *p <= parallax_steps)
+            .map(|(_, curve)| curve)
+            .min_by(|a, b| a.flip(middle_m, 0.0).total_cmp(&b.flip(middle_m, 0.0)))
+            .unwrap_or(simplest)
     }
 }
 
@@ -92,29 +175,19 @@ pub struct ErrorCurve {
 }
 
 impl ErrorCurve {
-    /// The curve that the server was built with.
-    #[must_use]
-    pub fn embedded() -> Self {
-        match Self::from_json_text(include_str!("../../data/distance.json")) {
-            Ok(curve) => curve,
-            // The file is a part of the program; a test holds it right.
-            Err(error) => unreachable!("{error}"),
-        }
-    }
-
-    /// Reads a curve.
+    /// Curves of points by rising distance.
     ///
     /// # Errors
-    /// Says what is wrong and what is allowed.
-    pub fn from_json_text(text: &str) -> Result<Self, ErrorCurveError> {
-        let file: ErrorCurveFile = serde_json::from_str(text)?;
-        if file.version != VERSION {
-            return Err(ErrorCurveError::Version(file.version));
-        }
+    /// Says which point is wrong and what is allowed.
+    pub fn new(sideways: Vec<ErrorAt>, up: Vec<ErrorAt>) -> Result<Self, ErrorCurveError> {
         Ok(Self {
-            sideways: checked("sideways", file.sideways)?,
-            up: checked("upwards", file.up)?,
+            sideways: checked("sideways", sideways)?,
+            up: checked("upwards", up)?,
         })
+    }
+
+    fn farthest_m(&self) -> f64 {
+        self.sideways.last().map_or(0.0, |at| at.distance_m)
     }
 
     /// How wide a cell may be so that no viewer in it has an error above `max_error`: no narrower than a bound below which
@@ -217,8 +290,15 @@ mod tests {
                 })
                 .collect()
         };
-        let file = ErrorCurveFile::new("a test".into(), points(sideways), points(up));
-        ErrorCurve::from_json_text(&serde_json::to_string(&file).expect("JSON"))
+        let curve = ReadingCurve {
+            slabs: 1,
+            parallax_steps: 0,
+            sideways: points(sideways),
+            up: points(up),
+        };
+        let file = ErrorCurveFile::new("a test".into(), vec![curve]);
+        let curves = ErrorCurves::from_json_text(&serde_json::to_string(&file).expect("JSON"))?;
+        Ok(curves.of(4, 16).clone())
     }
 
     fn known() -> ErrorCurve {
@@ -264,11 +344,41 @@ mod tests {
     }
 
     #[test]
-    fn the_embedded_curve_is_measured_and_an_error_that_is_asked_for_narrows_cells() {
-        let curve = ErrorCurve::embedded();
-        let radii = [0.02, 0.04, 0.08].map(|flip| curve.limit(flip).radius_m());
-        assert!(radii.is_sorted(), "{radii:?}");
-        assert!(radii[0] < radii[2], "{radii:?}");
+    fn an_error_that_is_asked_for_narrows_cells_and_slabs_and_searches_widen_them() {
+        let curves = ErrorCurves::embedded();
+        for (slabs, parallax_steps) in [(1, 0), (1, 4), (1, 16), (2, 16), (4, 4), (4, 16)] {
+            let curve = curves.of(slabs, parallax_steps);
+            let radii = [0.02, 0.04, 0.08].map(|flip| curve.limit(flip).radius_m());
+            assert!(radii.is_sorted(), "{radii:?}");
+            assert!(radii[0] < radii[2], "{radii:?}");
+        }
+        for parallax_steps in [4, 16] {
+            let radii =
+                [1, 2, 4].map(|slabs| curves.of(slabs, parallax_steps).limit(0.08).radius_m());
+            assert!(radii.is_sorted() && radii[0] < radii[2], "{radii:?}");
+        }
+        let radii = [0, 4, 16].map(|steps| curves.of(1, steps).limit(0.08).radius_m());
+        assert!(radii.is_sorted() && radii[0] < radii[2], "{radii:?}");
+        for distance_m in [1_000.0, 3_000.0, 5_000.0] {
+            let flips = [1, 2, 4].map(|slabs| curves.of(slabs, 16).flip(distance_m, 0.0));
+            assert!(flips.is_sorted_by(|a, b| a > b), "{distance_m}: {flips:?}");
+        }
+    }
+
+    #[test]
+    fn a_way_to_read_that_was_not_measured_has_the_curve_of_a_simpler_one() {
+        let curves = ErrorCurves::embedded();
+        assert_eq!(curves.of(3, 16), curves.of(2, 16));
+        assert_eq!(curves.of(1, 8), curves.of(1, 4));
+        assert_eq!(curves.of(0, 0), curves.of(1, 0));
+        assert_eq!(curves.of(4, 64), curves.of(4, 16));
+    }
+
+    #[test]
+    fn a_file_without_the_simplest_curve_is_refused() {
+        let text = r#"{"version": 2, "measured_with": "", "curves": []}"#;
+        let error = ErrorCurves::from_json_text(text).expect_err("none");
+        assert!(error.to_string().contains("0 curves"), "{error}");
     }
 
     #[test]

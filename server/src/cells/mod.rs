@@ -9,7 +9,9 @@ mod grouping;
 mod limit;
 
 pub use crowd::{Crowd, CrowdMotion};
-pub use error_curve::{ErrorAt, ErrorCurve, ErrorCurveError, ErrorCurveFile};
+pub use error_curve::{
+    ErrorAt, ErrorCurve, ErrorCurveError, ErrorCurveFile, ErrorCurves, ReadingCurve,
+};
 pub use limit::{CellLimit, Storeys};
 
 use crate::config::PlacedCell;

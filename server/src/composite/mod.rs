@@ -150,6 +150,7 @@ pub fn ground_key(key: PipelineKey) -> PipelineKey {
             catmull_rom: false,
             parallax: false,
             above: false,
+            phase_of_reference: false,
             moon: false,
             stars: false,
             ..key.features

@@ -13,7 +13,7 @@ pub const MAP_SIZE: u32 = 1024;
 pub const SKIP_RANGE_SHARE: f64 = 0.25;
 
 /// As in `cloud/density.wgsl`.
-const COVERAGE_SOFTNESS: f64 = 0.55;
+pub(super) const COVERAGE_SOFTNESS: f64 = 0.55;
 
 /// Coverage and type of a layer before the layer's own settings, 0…255, row by row.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -2,6 +2,7 @@
 //! CPU once, kept on disk, uploaded by `gpu`.
 
 mod grid;
+mod heights;
 mod layer_maps;
 mod map_file;
 mod maps;
@@ -14,6 +15,7 @@ mod store;
 mod volumes;
 
 pub use grid::{GridError, VoxelGrid, check_grids, load_grid};
+pub use heights::{CloudHeights, Slab};
 pub use layer_maps::{LayerMaps, MapFormat, check_maps, content_of_maps};
 pub use map_file::{
     GreyMap, MAP_FILE_MAX_BYTES, MAP_SIDE_MAX, MapFileError, MapFileFormat, map_pointer,

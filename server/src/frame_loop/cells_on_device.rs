@@ -518,7 +518,7 @@ impl SkyRenderer {
                                 return Vec::new();
                             }
                             let sphere = ProxySphere {
-                                seen_between_m: (steps > 0).then_some(proxy.between_m),
+                                seen_between_m: (steps > 0).then_some(proxy.seen_between_m),
                                 ..*sphere
                             };
                             requested_tiles(&frustum, &sphere, mip_bias)

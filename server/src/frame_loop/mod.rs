@@ -24,6 +24,7 @@ mod stats;
 
 mod still;
 mod still_followed;
+mod still_frames;
 mod still_living;
 mod still_settings;
 mod still_shared;
@@ -35,6 +36,7 @@ mod views;
 pub use auditing::AuditedTexel;
 pub use pacing::FrameLoop;
 pub use still::StillRenderer;
+pub use still_frames::{FrameCosts, FrameFigures, StillFrame};
 pub use still_living::LivingViewers;
 pub use still_settings::{
     LayerFigures, RayFigures, RayPicture, StillFigures, StillPicture, StillRay, StillSettings,

@@ -4,7 +4,7 @@ use super::cells_on_device::ActiveCell;
 use super::interface::{AskedBy, QualityStats, ViewRequest};
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
-use crate::cells::ErrorCurve;
+use crate::cells::ErrorCurves;
 use crate::config::RenderConfig;
 use crate::gpu::TimedPass;
 use crate::march::MarchSettings;
@@ -55,8 +55,8 @@ pub(super) struct Qualities {
     default: QualityChoice,
     /// Somebody has chosen the default: it is not only what the adapter affords.
     default_is_asked: bool,
-    /// How the error of a shared cache grows with the distance.
-    curve: ErrorCurve,
+    /// How the error of a shared cache grows with the distance, by how it is read.
+    curves: ErrorCurves,
     /// Viewers and scenes may choose; single pictures have their own settings.
     are_chosen: bool,
     composite: UnitTime,
@@ -110,7 +110,7 @@ impl Qualities {
             },
             default: config.quality.unwrap_or(default),
             default_is_asked: config.quality.is_some(),
-            curve: ErrorCurve::embedded(),
+            curves: ErrorCurves::embedded(),
             are_chosen: false,
             composite: UnitTime::default(),
             tile: UnitTime::default(),
@@ -318,7 +318,9 @@ impl SkyRenderer {
             QualityChoice::Preset(_) | QualityChoice::BudgetMs(_) => None,
         };
         for (id, viewer) in &self.viewers {
-            let limit = max_error(&viewer.quality).map(|flip| qualities.curve.limit(flip));
+            let steps = viewer.quality.settings.parallax_steps;
+            let curve = qualities.curves.of(self.kept_on.slabs, steps);
+            let limit = max_error(&viewer.quality).map(|flip| curve.limit(flip));
             self.cells.set_limit_of(*id, limit);
         }
     }

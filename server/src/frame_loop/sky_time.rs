@@ -7,7 +7,8 @@ use super::renderer::SkyRenderer;
 use super::sky_steps::{Steps, steps_between};
 use crate::cache::SphereId;
 use crate::gpu::GpuError;
-use crate::march::{ActiveLayer, LayerBlend, active_layers, placed_sheets, placed_weather};
+use crate::march::{ActiveLayer, LayerBlend, active_layers, keep_places};
+use crate::march::{look_where_clouds_are, placed_sheets, placed_weather};
 use skycell_protocol::{CellId, Moment, Scene};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -276,13 +277,22 @@ impl SkyRenderer {
                 })
                 .collect();
             self.scene = scene;
+            let before = self.proxies.clone();
             self.set_active(active);
+            keep_places(
+                &mut self.proxies,
+                &before,
+                &kept,
+                self.kept_on.parts() as usize,
+            );
+            look_where_clouds_are(&mut self.proxies, &self.scene);
             self.place_clouds();
             self.inspections = None;
             self.keep_layers(&kept);
         } else {
             // Proxy spheres stay where they are while types change: the texels on them stay where they are.
             self.scene = scene;
+            look_where_clouds_are(&mut self.proxies, &self.scene);
         }
         self.ideal_active = ideal;
         // What is other for a layer is told by its steps; places alone may have changed.

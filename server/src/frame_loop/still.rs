@@ -3,6 +3,7 @@
 use super::interface::{RenderTotals, ViewRequest};
 use super::renderer::SkyRenderer;
 use super::screen_space::{ScreenSpaceJob, WindowChoice};
+use super::still_frames::cell_around;
 use super::still_settings::{LayerFigures, RayFigures, RayPicture};
 use super::still_settings::{StillFigures, StillPicture, StillSettings};
 use crate::atmosphere::ShaftShares;
@@ -288,19 +289,29 @@ impl StillRenderer {
         size: FrameSize,
         settings: &StillSettings,
     ) -> bool {
+        let offset_m = DVec3::from_array(settings.reference_offset_m);
+        let reference_m = DVec3::from_array(camera.position_m()) + offset_m;
+        self.join_cell(
+            camera,
+            size,
+            settings,
+            (offset_m != DVec3::ZERO).then_some(reference_m),
+        )
+    }
+
+    /// The same with a reference that stands somewhere, where it is told.
+    pub(super) fn join_cell(
+        &mut self,
+        camera: Camera,
+        size: FrameSize,
+        settings: &StillSettings,
+        reference_m: Option<DVec3>,
+    ) -> bool {
         let renderer = &mut self.renderer;
         renderer.leave(VIEWER);
-        renderer.cells = if settings.reference_offset_m == [0.0; 3] {
-            Cells::new(&self.placed, CellLimit::default())
-        } else {
-            let [x, y, z] = camera.position_m();
-            let [dx, dy, dz] = settings.reference_offset_m;
-            let reference = PlacedCell {
-                name: "reference".into(),
-                center_m: [x + dx, y + dy, z + dz],
-                radius_m: 1.0e6,
-            };
-            Cells::new(&[reference], CellLimit::default())
+        renderer.cells = match reference_m {
+            None => Cells::new(&self.placed, CellLimit::default()),
+            Some(reference_m) => Cells::new(&[cell_around(reference_m)], CellLimit::default()),
         };
         renderer.join(
             VIEWER,
@@ -324,7 +335,11 @@ impl StillRenderer {
         })
     }
 
-    fn composite_keys(&self, screen_space: bool, settings: &StillSettings) -> [PipelineKey; 2] {
+    pub(super) fn composite_keys(
+        &self,
+        screen_space: bool,
+        settings: &StillSettings,
+    ) -> [PipelineKey; 2] {
         let ray_list = self
             .renderer
             .viewers
@@ -362,6 +377,7 @@ impl StillRenderer {
                         shown
                     },
                     shared_background: settings.shared_background,
+                    phase_of_reference: settings.phase_of_reference && !screen_space,
                     ..key.features
                 },
                 ..key

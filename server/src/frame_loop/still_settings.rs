@@ -43,6 +43,9 @@ pub struct StillSettings {
     pub band_ends: BandEnds,
     /// How far a reference may go before domes follow it, m (following and nested domes).
     pub dome_follow_m: f64,
+    /// Single scattering is coloured with the phase of the marched ray instead of the viewer's own, as where texels keep it
+    /// coloured (Weinrauch et al. 2023); exact with one slab.
+    pub phase_of_reference: bool,
     /// Reference point of the cache, seen from the eye: x, altitude, z.
     pub reference_offset_m: [f64; 3],
     /// What the picture shows.
@@ -71,6 +74,7 @@ impl Default for StillSettings {
             bands: ProxySettings::default().bands,
             band_ends: BandEnds::default(),
             dome_follow_m: ProxySettings::default().follow_m,
+            phase_of_reference: false,
             reference_offset_m: [0.0; 3],
             show: Show::Picture,
             codec: Codec::Png,

@@ -28,7 +28,7 @@ pub use pattern::{FramePlace, WINDOW_FRAMES_MAX, window_places};
 pub use pixels::{LISTED_VALUES, MarchedPixels, PixelStrip, pixels_key};
 pub use proxies::{
     BANDS, BandEnds, DOME_FOLLOW_M, Dome, PROXIES_MAX, PROXIES_PER_LAYER_MAX, Proxy, ProxySettings,
-    ProxySetup, SlabsWithDomes, Surface, proxies_of,
+    ProxySetup, SlabsWithDomes, Surface, keep_places, look_where_clouds_are, proxies_of,
 };
 pub use resample::{ResampleGroup, ResampledTile, record_resample, resample_key};
 pub use settings::MarchSettings;

@@ -5,10 +5,12 @@
 mod tests;
 
 use super::{ActiveLayer, CellFrame};
+use crate::field::{CloudHeights, Slab};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use skycell_protocol::Scene;
 use skycell_protocol::number_range::NumberRange;
+use skycell_protocol::scene::{CloudLayer, DensityModel};
 use skycell_shaders::{Features, layout};
 
 /// Most parts of a layer.
@@ -323,6 +325,8 @@ pub struct Proxy {
     pub between_m: [f64; 2],
     /// The dome that it is, where it is none of the shells.
     pub dome: Option<Dome>,
+    /// Altitudes between which it has cloud worth a look, m.
+    pub seen_between_m: [f64; 2],
 }
 
 impl Proxy {
@@ -392,42 +396,94 @@ impl Proxy {
             radius_m: radius_m as f32,
             from_above: u32::from(self.is_from_above(frame, anchor)),
             least_m: least_m as f32,
+            seen_low_altitude_m: self.seen_between_m[0] as f32,
+            seen_high_altitude_m: self.seen_between_m[1] as f32,
+            ..Default::default()
         }
     }
 }
 
 /// The proxies of a scene's active layers, one layer after another: slabs from the lowest to the highest, bands from the nearest
-/// to the farthest. A layer that is whole is kept on a sphere at the mean altitude of its clouds, a slab on one in its middle.
+/// to the farthest. A layer that is whole is kept on a sphere at the mean altitude of its clouds, a slab on one at that of its
+/// own.
 #[must_use]
 pub fn proxies_of(scene: &Scene, active: &[ActiveLayer], settings: &ProxySettings) -> Vec<Proxy> {
     let parts = settings.parts().clamp(1, PROXIES_PER_LAYER_MAX);
     let of_layer = |(layer, active): (usize, &ActiveLayer)| {
         let shell = &scene.layers()[active.scene_index];
-        let (base_m, top_m) = (shell.base_altitude_m(), shell.top_altitude_m());
-        let (scene_index, proxy_altitude_m) = (active.scene_index, active.proxy_altitude_m);
-        (0..parts).map(move |part| {
+        let (scene_index, whole_m) = (active.scene_index, active.proxy_altitude_m);
+        let whole = Slab {
+            between: [0.0, 1.0],
+            mean: 0.5,
+        };
+        let slabs = if settings.has_domes() || parts == 1 {
+            vec![whole; parts as usize]
+        } else {
+            heights_of(shell).slabs(parts)
+        };
+        (0..).zip(slabs).map(move |(part, slab)| {
             let dome = settings
                 .has_domes()
                 .then(|| Dome::of_band(part, parts, settings.band_ends));
-            let is_whole = parts == 1 || dome.is_some();
-            let cut = |place: u32| base_m + (top_m - base_m) * f64::from(place) / f64::from(parts);
-            let between_m = if is_whole {
-                [base_m, top_m]
-            } else {
-                [cut(part), cut(part + 1)]
-            };
+            let between_m = slab.between.map(|height| altitude_m(shell, height));
             Proxy {
                 layer,
                 scene_index,
-                altitude_m: if is_whole {
-                    proxy_altitude_m
+                altitude_m: if parts == 1 || dome.is_some() {
+                    whole_m
                 } else {
-                    0.5 * (between_m[0] + between_m[1])
+                    altitude_m(shell, slab.mean)
                 },
                 between_m,
+                seen_between_m: between_m,
                 dome,
             }
         })
     };
-    active.iter().enumerate().flat_map(of_layer).collect()
+    let mut proxies: Vec<Proxy> = active.iter().enumerate().flat_map(of_layer).collect();
+    look_where_clouds_are(&mut proxies, scene);
+    proxies
+}
+
+/// Lets viewers look for clouds at the altitudes where a scene's clouds are. What proxies keep stays the same.
+pub fn look_where_clouds_are(proxies: &mut [Proxy], scene: &Scene) {
+    for proxy in proxies {
+        let shell = &scene.layers()[proxy.scene_index];
+        let [low_m, high_m] = proxy.between_m;
+        let seen = heights_of(shell).seen_between();
+        proxy.seen_between_m = seen.map(|height| altitude_m(shell, height).clamp(low_m, high_m));
+    }
+}
+
+/// Leaves the proxies of layers that were there before, at the given places, what they kept then.
+pub fn keep_places(proxies: &mut [Proxy], before: &[Proxy], kept: &[Option<usize>], slabs: usize) {
+    for (place, old) in kept.iter().enumerate() {
+        let Some(old) = old else { continue };
+        for slab in 0..slabs {
+            let at = proxies.get_mut(place * slabs + slab);
+            if let (Some(proxy), Some(old)) = (at, before.get(old * slabs + slab)) {
+                proxy.altitude_m = old.altitude_m;
+                proxy.between_m = old.between_m;
+            }
+        }
+    }
+}
+
+fn heights_of(layer: &CloudLayer) -> CloudHeights {
+    match layer.density() {
+        DensityModel::Weather(weather) => CloudHeights::of(weather),
+        DensityModel::Homogeneous(_) | DensityModel::Grid(_) | DensityModel::Cirrus(_) => {
+            CloudHeights::even()
+        }
+    }
+}
+
+/// The altitude of a height fraction, m; exact at both ends.
+fn altitude_m(layer: &CloudLayer, height: f64) -> f64 {
+    let (base_m, top_m) = (layer.base_altitude_m(), layer.top_altitude_m());
+    if height < 1.0 {
+        base_m + (top_m - base_m) * height
+    } else {
+        top_m
+    }
 }

@@ -9,6 +9,7 @@ use super::plan::{Axis, Extent};
 use super::proxies::ProxiesArguments;
 use super::reference::{ReferenceSource, TruthInputs};
 use super::scaling::ScalingArguments;
+use super::walk::WalkArguments;
 use crate::render_command::{Folders, read_scene, triple};
 use anyhow::Context;
 use skycell_protocol::{Camera, FrameSize, Scene};
@@ -49,6 +50,13 @@ pub enum Measurement {
         after_help = "Example: skycell-server measure distance --quick --out distance && xdg-open distance/distance.html"
     )]
     Distance(Box<DistanceArguments>),
+    /// Pictures in motion: an eye walks aside and climbs away from the reference of a cell while its texels stay. Frames of
+    /// the cache and of rays of the eye's own, a sheet of both and walk.json with how differently they move, in the folder of
+    /// --out.
+    #[command(
+        after_help = "Example: skycell-server measure walk --ways walk --variants phase,all --frames 16 --step-m 20 --out walk"
+    )]
+    Walk(Box<WalkArguments>),
     /// What many viewers cost: crowds of cameras that move for minutes, without a device, and viewers at one place, rendered:
     /// scaling.json and scaling.html in the folder of --out.
     #[command(
@@ -196,6 +204,13 @@ pub(super) fn parsed_size(text: &str) -> Result<FrameSize, String> {
     let size = numbers.and_then(|(w, h)| FrameSize::new(w, h).ok());
     size.filter(|s| s.width().min(s.height()) >= COMPARED_SIDE_MIN)
         .ok_or_else(|| allowed.to_owned())
+}
+
+pub(super) fn parsed_metres(text: &str) -> Result<f64, String> {
+    let metres = text.parse::<f64>().ok();
+    metres
+        .filter(|m| (0.0..=1e6).contains(m))
+        .ok_or_else(|| "allowed: 0 to 1000000 m".to_owned())
 }
 
 impl TradeArguments {

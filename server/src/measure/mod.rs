@@ -22,6 +22,7 @@ pub mod settings;
 pub mod store;
 pub mod sweep;
 mod trade;
+pub mod walk;
 
 pub use arguments::{
     GalleryArguments, MeasureArguments, Measurement, ReferenceKind, TradeArguments,
@@ -36,6 +37,7 @@ pub fn run(arguments: &MeasureArguments) -> anyhow::Result<()> {
         Measurement::Trade(trade) => trade::run(trade),
         Measurement::Gallery(gallery) => gallery::run(gallery),
         Measurement::Distance(arguments) => distance::run(arguments),
+        Measurement::Walk(arguments) => walk::run(arguments),
         Measurement::Scaling(arguments) => scaling::run(arguments),
         Measurement::Proxies(arguments) => proxies::run(arguments),
         Measurement::Ageing(arguments) => ageing::run(arguments),

@@ -14,7 +14,7 @@
 @group(2) @binding(1) var atlas_radiance: texture_2d_array<f32>;
 @group(2) @binding(2) var atlas_distance: texture_2d_array<f32>;
 @group(2) @binding(3) var atlas_sampler: sampler;
-#ifdef PARALLAX
+#ifdef SLOT_ORIGINS
 /// Where the rays of a slot's texels started, from the layer's anchor, m: slot s in column s % ORIGINS_WIDTH.
 @group(2) @binding(4) var slot_origins: texture_2d<f32>;
 #endif
@@ -30,6 +30,10 @@ const PAGE_TILES: u32 = 128u;
 const PAGE_TEXELS: vec2f = vec2f(64.0, 8192.0);
 /// Tiles along the octahedral square at level 0.
 const BASE_TILES: u32 = 5u;
+#ifdef CACHE_READS
+/// Reads of the atlas, of its page tables and of where rays started, for one pixel.
+var<private> cache_reads: u32 = 0u;
+#endif
 
 #ifdef CATMULL_ROM
 /// Catmull-Rom reconstruction from nine bilinear reads (the separable form with merged middle taps). The gutter of two
@@ -74,6 +78,9 @@ fn find(table: PageTable, from_anchor: vec3f) -> Found {
     let square = octahedral_from_direction(from_anchor);
     let tile = min(vec2u(square * f32(table.tiles_per_side)), vec2u(max(table.tiles_per_side, 1u) - 1u));
     let index = table.offset + tile.y * table.tiles_per_side + tile.x;
+#ifdef CACHE_READS
+    cache_reads += 1u;
+#endif
     let entry = textureLoad(page_table, vec2u(index % TABLE_WIDTH, index / TABLE_WIDTH), 0).x;
     let held = entry != NO_TILE && table.tiles_per_side != 0u;
     let level = min((entry >> 16u) & 0xffu, table.level);
@@ -91,6 +98,13 @@ fn cached_radiance(table: PageTable, from_anchor: vec3f, hidden: bool) -> LayerR
     let found = find(table, from_anchor);
     let held = found.held && !hidden;
     let page = found.slot / PAGE_TILES;
+#ifdef CACHE_READS
+#ifdef CATMULL_ROM
+    cache_reads += 7u;
+#else
+    cache_reads += 2u;
+#endif
+#endif
     let radiance = select(vec4f(0.0, 0.0, 0.0, 1.0), read_radiance(found.texel, page), held);
     var opacity_distance_m = textureSampleLevel(atlas_distance, atlas_sampler, found.texel / PAGE_TEXELS, page, 0.0).x;
 #ifdef CATMULL_ROM
@@ -99,6 +113,12 @@ fn cached_radiance(table: PageTable, from_anchor: vec3f, hidden: bool) -> LayerR
     opacity_distance_m *= (1.0 - radiance.w + CLEAR_OPACITY) / (1.0 - transmittance + CLEAR_OPACITY);
 #endif
     return LayerRadiance(radiance.x, radiance.y, radiance.z, radiance.w, select(0.0, opacity_distance_m, held));
+}
+
+/// A part of a layer in the cache.
+struct Kept {
+    proxy: Proxy,
+    table: PageTable,
 }
 
 /// The point of a viewer's ray at an altitude above it.
@@ -113,6 +133,16 @@ fn point_at_altitude(planet_radius_m: f32, eye: View, direction: vec3f, altitude
 fn passes_over(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f) -> bool {
     let top = shell_roots(planet_radius_m, proxy.part.high_altitude_m, eye.position, eye.altitude_m, direction);
     return proxy.from_above > 0u && !(top.hit && top.far_m > 0.0);
+}
+#endif
+
+#ifdef PHASE_OF_REFERENCE
+/// The direction of the ray that was marched for what a viewer sees on a proxy's sphere.
+fn marched_direction(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f) -> vec3f {
+    let from_anchor = point_at_altitude(planet_radius_m, eye, direction, kept.proxy.altitude_m) - kept.proxy.anchor;
+    let found = find(kept.table, from_anchor);
+    let origin = textureLoad(slot_origins, vec2u(found.slot % ORIGINS_WIDTH, found.slot / ORIGINS_WIDTH), 0).xyz;
+    return select(direction, normalize(from_anchor - origin), found.held);
 }
 #endif
 
@@ -147,6 +177,9 @@ fn shown_at(table: PageTable, from_anchor: vec3f) -> Shown {
     let found = find(table, from_anchor);
     let page = found.slot / PAGE_TILES;
     let at = found.texel / PAGE_TEXELS;
+#ifdef CACHE_READS
+    cache_reads += 3u;
+#endif
     let opacity = 1.0 - textureSampleLevel(atlas_radiance, atlas_sampler, at, page, 0.0).w;
     let opacity_distance_m = textureSampleLevel(atlas_distance, atlas_sampler, at, page, 0.0).x;
     let origin = textureLoad(slot_origins, vec2u(found.slot % ORIGINS_WIDTH, found.slot / ORIGINS_WIDTH), 0).xyz;
@@ -182,10 +215,10 @@ const CLOUD_DEPTH_M: f32 = 50.0;
 /// How fast a ray may get behind one surface, per m of its way.
 const CLOUD_SLOPE: f32 = 3.0;
 
-/// Altitudes between which a viewer's ray is searched for what a proxy keeps: those of its part, as far as its distances from
+/// Altitudes between which a viewer's ray is searched for what a proxy keeps: those where it has cloud, as far as its distances from
 /// where its rays start go.
 fn searched_altitudes(planet_radius_m: f32, eye: View, proxy: Proxy, starts: vec3f, direction: vec3f) -> vec2f {
-    let part = vec2f(proxy.part.low_altitude_m, proxy.part.high_altitude_m);
+    let part = vec2f(proxy.seen_low_altitude_m, proxy.seen_high_altitude_m);
 #ifdef DOMES
     let along = searched_distances_m(eye, proxy, starts, direction);
     let ends = vec2f(altitude_m(planet_radius_m, eye.position + direction * along.x), altitude_m(planet_radius_m, eye.position + direction * along.y));
@@ -254,7 +287,7 @@ fn place_beside(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f,
 
 /// Finds the place of what a viewer sees: goes along its ray, from the near side of what the proxy keeps to its far one, until it is
 /// behind what the texels there show. Where that moves what is read by little, the texel on the sphere tells it.
-fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTable, direction: vec3f) -> Parallax {
+fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTable, direction: vec3f, hidden: bool) -> Parallax {
     let on_surface = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);
 #ifdef ABOVE
     let on_surface_place = place_beside(planet_radius_m, eye, proxy, direction, on_surface);
@@ -277,7 +310,7 @@ fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTabl
     let from_near = normalize(point_at_place(planet_radius_m, eye, proxy, direction, way.near) - starts);
     let from_far = normalize(point_at_place(planet_radius_m, eye, proxy, direction, way.far) - starts);
     let wanted = u32(min(length(from_near - from_far) / (SEARCH_PIXELS * eye.pixel_angle_rad), f32(eye.parallax_steps)));
-    let searches = select(0u, wanted, wanted > 1u);
+    let searches = select(0u, wanted, wanted > 1u && !hidden);
     var near = way.near;
     var near_behind_m = NOTHING_BEHIND_M;
     var far = way.far;
@@ -303,14 +336,15 @@ fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTabl
     }
     // The interval in which the ray goes under the surface is narrowed. At an edge it ends in the cloud.
     let follows = is_hit && near_behind_m > 0.5 * NOTHING_BEHIND_M;
-    for (var i = 0u; i < 2u; i += 1u) {
+    let narrowings = select(0u, 2u, is_hit);
+    for (var i = 0u; i < narrowings; i += 1u) {
         let between = clamp(near_behind_m / min(near_behind_m - far_behind_m, -1e-3), 0.1, 0.9);
         let place = mix(near, far, select(0.5, between, follows));
         let point = point_at_place(planet_radius_m, eye, proxy, direction, place);
         let probed = probe_point(planet_radius_m, proxy, table, result, point);
         let is_behind = probed.behind_m >= 0.0;
-        let is_far = is_hit && is_behind && (follows || probed.opacity > 0.5);
-        let is_near = is_hit && !is_far;
+        let is_far = is_behind && (follows || probed.opacity > 0.5);
+        let is_near = !is_far;
         far = select(far, place, is_far);
         far_behind_m = select(far_behind_m, probed.behind_m, is_far);
         near = select(near, place, is_near);
@@ -323,12 +357,6 @@ fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTabl
 }
 #endif
 
-/// A part of a layer in the cache.
-struct Kept {
-    proxy: Proxy,
-    table: PageTable,
-}
-
 /// What the cache holds of a part of a layer along a viewer's ray.
 fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hidden: bool) -> LayerRadiance {
     let proxy = kept.proxy;
@@ -339,7 +367,7 @@ fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hi
     let is_clear = hidden;
 #endif
 #ifdef PARALLAX
-    let parallax = parallax_along(planet_radius_m, eye, proxy, table, direction);
+    let parallax = parallax_along(planet_radius_m, eye, proxy, table, direction, is_clear);
     let point = point_at_place(planet_radius_m, eye, proxy, direction, parallax.place);
     var cloud = cached_radiance(table, place_of_point(planet_radius_m, proxy, parallax, point), is_clear);
     // The viewer is as far from what it sees as it is, not as far as the origin of the texel's ray.
@@ -384,30 +412,46 @@ fn both_parts(first: LayerRadiance, second: LayerRadiance, from_above: bool) -> 
 #endif
 #endif
 
+#if PROXIES >= 2
+/// What lets less through than this hides what is behind: half a step of what is shown.
+const HIDING_TRANSMITTANCE: f32 = 2e-3;
+
+/// Whether nothing can be seen of the parts that follow. From above each of them is in front.
+fn hides_next(cloud: LayerRadiance, from_above: bool) -> bool {
+    return !from_above && cloud.transmittance < HIDING_TRANSMITTANCE;
+}
+#endif
+
 /// What the cache holds of a layer along a viewer's ray: its parts, slabs from the lowest to the highest, one behind the other.
 fn cached_layer(planet_radius_m: f32, eye: View, kept: array<Kept, #{PROXIES}>, direction: vec3f, hidden: bool) -> LayerRadiance {
     var cloud = cached_part(planet_radius_m, eye, kept[0], direction, hidden);
 #ifdef DOMES
     // Bands of distance, from the nearest to the farthest.
 #if PROXIES >= 2
-    cloud = in_front_of(cloud, cached_part(planet_radius_m, eye, kept[1], direction, hidden));
+    var behind = hidden || hides_next(cloud, false);
+    cloud = in_front_of(cloud, cached_part(planet_radius_m, eye, kept[1], direction, behind));
 #endif
 #if PROXIES >= 3
-    cloud = in_front_of(cloud, cached_part(planet_radius_m, eye, kept[2], direction, hidden));
+    behind = behind || hides_next(cloud, false);
+    cloud = in_front_of(cloud, cached_part(planet_radius_m, eye, kept[2], direction, behind));
 #endif
 #if PROXIES >= 4
-    cloud = in_front_of(cloud, cached_part(planet_radius_m, eye, kept[3], direction, hidden));
+    behind = behind || hides_next(cloud, false);
+    cloud = in_front_of(cloud, cached_part(planet_radius_m, eye, kept[3], direction, behind));
 #endif
 #else
 #if PROXIES >= 2
     let from_above = eye.altitude_m > kept[0].proxy.part.high_altitude_m;
-    cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[1], direction, hidden), from_above);
+    var behind = hidden || hides_next(cloud, from_above);
+    cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[1], direction, behind), from_above);
 #endif
 #if PROXIES >= 3
-    cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[2], direction, hidden), from_above);
+    behind = behind || hides_next(cloud, from_above);
+    cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[2], direction, behind), from_above);
 #endif
 #if PROXIES >= 4
-    cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[3], direction, hidden), from_above);
+    behind = behind || hides_next(cloud, from_above);
+    cloud = both_parts(cloud, cached_part(planet_radius_m, eye, kept[3], direction, behind), from_above);
 #endif
 #endif
     return cloud;

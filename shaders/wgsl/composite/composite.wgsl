@@ -34,6 +34,13 @@
 #import skycell::surface::surface_point
 #else
 #import skycell::cached::cached_layer
+#ifdef CACHE_READS
+#import skycell::cached::cache_reads
+#endif
+#ifdef PHASE_OF_REFERENCE
+#import skycell::cached::marched_direction
+#import skycell::phase::one_minus_mu
+#endif
 #endif
 #endif
 
@@ -82,7 +89,15 @@ fn layer_radiance(world: Scene, eye: View, layer: Layer, kept: array<Kept, #{PRO
     let on_surface = surface_point(world.planet.radius_m, proxy, eye.position, eye.altitude_m, ray.direction);
     return cached_entry(kept[0].table, on_surface - proxy.anchor, hidden);
 #else
-    return cached_layer(world.planet.radius_m, eye, kept, ray.direction, hidden);
+    var cloud = cached_layer(world.planet.radius_m, eye, kept, ray.direction, hidden);
+#ifdef PHASE_OF_REFERENCE
+    var marched_ray = ray;
+    marched_ray.direction = marched_direction(world.planet.radius_m, eye, kept[0], ray.direction);
+    marched_ray.angle = one_minus_mu(marched_ray.direction, world.sun.direction);
+    // No phase is nothing anywhere.
+    cloud.single *= sun_phase_per_sr(world, layer.phase, marched_ray) / sun_phase_per_sr(world, layer.phase, ray);
+#endif
+    return cloud;
 #endif
 }
 
@@ -380,7 +395,12 @@ fn composite(@builtin(global_invocation_id) id: vec3u) {
         let inside = pixel.x < eye.width && pixel.y < eye.height;
         let at = pixel.y * eye.width + pixel.x;
 #ifdef LINEAR_OUTPUT
+#ifdef CACHE_READS
+        if inside { picture[at] = vec4f(radiance, f32(cache_reads)); }
+        cache_reads = 0u;
+#else
         if inside { picture[at] = vec4f(radiance, 1.0); }
+#endif
 #else
 #ifdef SHOW_VALUES
         let bytes = pack4x8unorm(vec4f(colour_of_values(radiance), 1.0));

@@ -208,6 +208,11 @@ struct Proxy {
     from_above: u32,
     /// From above: rays that pass over the shell have their places no nearer than this, m.
     least_m: f32,
+    /// Altitudes between which there is cloud to be looked for, m.
+    seen_low_altitude_m: f32,
+    seen_high_altitude_m: f32,
+    pad_x: u32,
+    pad_y: u32,
 }
 
 struct Scene {

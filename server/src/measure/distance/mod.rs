@@ -6,21 +6,21 @@ mod page;
 pub mod plan;
 pub mod report;
 
-use super::arguments::parsed_size;
+use super::arguments::{parsed_metres, parsed_size};
 use super::metrics::{ShownErrors, shown_errors};
 use super::progress::{Progress, spoken};
 use super::reference::without_alpha;
 use super::store::{key_of, write_whole};
 use super::trade::version;
 use crate::config::RenderConfig;
-use crate::frame_loop::{StillRenderer, StillSettings};
+use crate::frame_loop::{FrameCosts, FrameFigures, StillFrame, StillRenderer, StillSettings};
 use crate::render_command::{Folders, read_scene};
 use anyhow::{Context, ensure};
 use image::RgbImage;
 use plan::{Direction, Fineness, Variant, View};
 use report::{DistancePoint, DistanceReport};
 use serde::{Deserialize, Serialize};
-use skycell_protocol::{Camera, FrameSize};
+use skycell_protocol::{Camera, FrameSize, Scene};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -30,6 +30,8 @@ use std::time::Instant;
 const CACHE_MEMORY_MIB: u32 = 2048;
 /// Height of the eye, m.
 const EYE_M: f64 = 2.0;
+/// Times that a picture is composited to find out what that costs.
+const TIMED: u32 = 5;
 /// Vertical field of view, degrees.
 const FOV_DEG: f64 = 60.0;
 
@@ -57,21 +59,21 @@ pub struct DistanceArguments {
     /// Only these directions; all without.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "DIRECTION,...")]
     pub directions: Vec<Direction>,
+    /// Only these distances, m, from small to large; those of the direction without.
+    #[arg(long, value_delimiter = ',', value_name = "M,...", value_parser = parsed_metres)]
+    pub distances_m: Vec<f64>,
     /// Only these views; both without.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "VIEW,...")]
     pub views: Vec<View>,
-    /// Only these ways to read the cache; all without.
+    /// Only these ways to read the cache [default: plain, phase, parallax, slabs, all; with --write-curve every one].
     #[arg(long, value_enum, value_delimiter = ',', value_name = "VARIANT,...")]
     pub variants: Vec<Variant>,
     /// Where the middle of the pictures looks above the horizon.
     #[arg(long, default_value_t = 20.0, allow_negative_numbers = true)]
     pub pitch_deg: f64,
-    /// Write the curves that the limit of cells follows from here.
+    /// Write the curves that the limit of cells follows from here: of the variants but for plain.
     #[arg(long, value_name = "FILE")]
     pub write_curve: Option<PathBuf>,
-    /// The way to read the cache that --write-curve tells of.
-    #[arg(long, value_enum, default_value_t = Variant::SERVED)]
-    pub curve_of: Variant,
     /// Measure everything anew, whatever is in the folder.
     #[arg(long)]
     pub fresh: bool,
@@ -89,6 +91,14 @@ impl DistanceArguments {
         Fineness {
             steps: self.steps.unwrap_or(steps),
             samples: self.samples.unwrap_or(samples),
+        }
+    }
+
+    fn distances_m(&self, direction: Direction) -> &[f64] {
+        if self.distances_m.is_empty() {
+            direction.distances_m(self.quick)
+        } else {
+            &self.distances_m
         }
     }
 
@@ -120,7 +130,7 @@ pub(super) fn run(arguments: &DistanceArguments) -> anyhow::Result<()> {
     let page_path = out.join("distance.html");
     write_whole(&page_path, page::page(&report).as_bytes())?;
     if let Some(path) = &arguments.write_curve {
-        let curve = report.curve_file(arguments.curve_of)?;
+        let curve = report.curve_file()?;
         let text = format!("{:#}\n", serde_json::to_value(&curve)?);
         write_whole(path, text.as_bytes())?;
     }
@@ -149,16 +159,32 @@ pub(super) fn run(arguments: &DistanceArguments) -> anyhow::Result<()> {
 
 /// What is kept of measured pictures, by a hash of all that they depend on.
 #[derive(Default, Serialize, Deserialize)]
-struct Kept(BTreeMap<String, ShownErrors>);
+struct Kept(BTreeMap<String, Measured>);
+
+/// What was measured of one picture.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+struct Measured {
+    errors: ShownErrors,
+    figures: FrameFigures,
+}
 
 /// Renders and compares.
 struct Bench {
     still: StillRenderer,
     size: FrameSize,
+    fineness: Fineness,
     kept: Kept,
     path: PathBuf,
     depends_on: [String; 3],
     progress: Progress,
+}
+
+/// Where a reference stands, seen from an eye.
+struct Place {
+    view: View,
+    camera: Camera,
+    direction: Direction,
+    distance_m: f64,
 }
 
 fn measured(arguments: &DistanceArguments) -> anyhow::Result<DistanceReport> {
@@ -166,25 +192,18 @@ fn measured(arguments: &DistanceArguments) -> anyhow::Result<DistanceReport> {
     let size = arguments.picture_size()?;
     let directions = asked(&Direction::ALL, &arguments.directions);
     let views = asked(&View::ALL, &arguments.views);
-    let variants = asked(&Variant::ALL, &arguments.variants);
+    let variants = match (arguments.variants.is_empty(), &arguments.write_curve) {
+        (true, None) => Variant::COMPARED.to_vec(),
+        _ => asked(&Variant::ALL, &arguments.variants),
+    };
     let points = directions
         .iter()
-        .map(|direction| direction.distances_m(arguments.quick).len())
+        .map(|direction| arguments.distances_m(*direction).len())
         .sum::<usize>()
         * views.len()
         * variants.len();
     std::fs::create_dir_all(&arguments.out)
         .with_context(|| format!("--out {} cannot be made", arguments.out.display()))?;
-    let folders = Folders::of(
-        arguments.scene.as_deref(),
-        arguments.noise_cache_dir.as_ref(),
-    );
-    let config = RenderConfig {
-        cache_memory_mib: CACHE_MEMORY_MIB,
-        grids_dir: folders.grids.clone(),
-        maps_dir: folders.grids.clone(),
-        ..RenderConfig::new(folders.noise.clone())
-    };
     let sun_azimuth_deg = scene.sun().azimuth_deg();
     let cameras = views
         .iter()
@@ -195,10 +214,15 @@ fn measured(arguments: &DistanceArguments) -> anyhow::Result<DistanceReport> {
             Ok((*view, camera))
         })
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let still = StillRenderer::new(config, Arc::new(scene.clone()), &[])?;
+    let still = still_of(
+        &scene,
+        arguments.scene.as_deref(),
+        arguments.noise_cache_dir.as_ref(),
+    )?;
     let path = arguments.out.join("measured.json");
     let mut bench = Bench {
         size,
+        fineness: arguments.fineness(),
         kept: kept(&path, arguments.fresh)?,
         path,
         depends_on: [
@@ -209,46 +233,60 @@ fn measured(arguments: &DistanceArguments) -> anyhow::Result<DistanceReport> {
         still,
         progress: Progress::new(points as u64, points as f64),
     };
-    let fineness = arguments.fineness();
     let mut found = Vec::new();
     for (view, camera) in cameras {
         // Rendered when the first point needs it.
         let mut truth: Option<RgbImage> = None;
         for direction in &directions {
-            for variant in &variants {
-                for distance_m in direction.distances_m(arguments.quick) {
-                    let offset_m = direction.offset_m(&camera, *distance_m);
-                    let settings = fineness.cached(*variant, offset_m);
-                    let label = format!(
-                        "{}, {} {distance_m} m, {}",
-                        view.name(),
-                        direction.name(),
-                        variant.name()
-                    );
-                    let exact = fineness.screen_space();
-                    let errors = bench
-                        .errors(&label, camera, &settings, &exact, &mut truth)
-                        .with_context(|| label.clone())?;
-                    found.push(DistancePoint {
-                        view,
-                        direction: *direction,
-                        variant: *variant,
-                        distance_m: *distance_m,
-                        errors,
-                    });
+            for distance_m in arguments.distances_m(*direction) {
+                let place = Place {
+                    view,
+                    camera,
+                    direction: *direction,
+                    distance_m: *distance_m,
+                };
+                // Variants of as many slabs read the same texels.
+                for slabs in 1..=4 {
+                    let alike: Vec<Variant> = variants
+                        .iter()
+                        .copied()
+                        .filter(|variant| variant.slabs() == slabs)
+                        .collect();
+                    found.extend(bench.points(&place, &alike, &mut truth)?);
                 }
             }
         }
     }
     bench.progress.finish();
+    let order = |p: &DistancePoint| (p.view, p.direction, p.variant);
+    found.sort_by(|a, b| {
+        let by_distance = a.distance_m.total_cmp(&b.distance_m);
+        order(a).cmp(&order(b)).then(by_distance)
+    });
     Ok(DistanceReport::new(
         bench.still.adapter(),
         size,
-        fineness,
+        bench.fineness,
         arguments.pitch_deg,
         serde_json::to_value(scene.to_document())?,
         found,
     ))
+}
+
+/// A renderer of one scene in calm air.
+pub(super) fn still_of(
+    scene: &Scene,
+    file: Option<&Path>,
+    noise_cache_dir: Option<&PathBuf>,
+) -> anyhow::Result<StillRenderer> {
+    let folders = Folders::of(file, noise_cache_dir);
+    let config = RenderConfig {
+        cache_memory_mib: CACHE_MEMORY_MIB,
+        grids_dir: folders.grids.clone(),
+        maps_dir: folders.grids.clone(),
+        ..RenderConfig::new(folders.noise.clone())
+    };
+    Ok(StillRenderer::new(config, Arc::new(scene.clone()), &[])?)
 }
 
 fn kept(path: &Path, is_fresh: bool) -> anyhow::Result<Kept> {
@@ -261,18 +299,72 @@ fn kept(path: &Path, is_fresh: bool) -> anyhow::Result<Kept> {
 }
 
 impl Bench {
-    fn errors(
+    /// Measures variants that read the same texels.
+    fn points(
         &mut self,
-        label: &str,
-        camera: Camera,
-        settings: &StillSettings,
-        exact: &StillSettings,
+        place: &Place,
+        variants: &[Variant],
         truth: &mut Option<RgbImage>,
-    ) -> anyhow::Result<ShownErrors> {
-        self.progress.begin(label, 1.0);
+    ) -> anyhow::Result<Vec<DistancePoint>> {
+        let offset_m = place.direction.offset_m(&place.camera, place.distance_m);
+        let settings = |variant: Variant| self.fineness.cached(variant, offset_m);
+        let keys = variants
+            .iter()
+            .map(|variant| Ok((*variant, self.key(&place.camera, &settings(*variant))?)))
+            .collect::<anyhow::Result<Vec<(Variant, String)>>>()?;
+        let missing: Vec<&(Variant, String)> = keys
+            .iter()
+            .filter(|(_, key)| !self.kept.0.contains_key(key))
+            .collect();
+        if let Some((first, _)) = missing.first() {
+            self.progress.begin(&label(place, *first), 1.0);
+            let wanted: Vec<Variant> = missing.iter().map(|(variant, _)| *variant).collect();
+            let pictures = self
+                .pictures(place, &wanted, settings(*first))
+                .with_context(|| label(place, *first))?;
+            let truth = match truth {
+                Some(truth) => truth,
+                None => truth.insert(self.from_the_eye(place.camera)?),
+            };
+            for ((_, key), (picture, figures)) in missing.iter().zip(pictures) {
+                let errors = shown_errors(truth, &picture)?;
+                ensure!(
+                    errors.flip.is_finite(),
+                    "a picture has values that are no numbers"
+                );
+                self.kept
+                    .0
+                    .insert(key.clone(), Measured { errors, figures });
+            }
+            write_whole(&self.path, &serde_json::to_vec(&self.kept)?)?;
+        }
+        let mut found = Vec::new();
+        for (variant, key) in &keys {
+            let Some(Measured { errors, figures }) = self.kept.0.get(key) else {
+                continue;
+            };
+            let is_new = missing.iter().any(|(one, _)| one == variant);
+            if !is_new {
+                self.progress.begin(&label(place, *variant), 1.0);
+            }
+            let told = format!("FLIP {:.4}", errors.flip);
+            self.progress.done(if is_new { &told } else { "is there" });
+            found.push(DistancePoint {
+                view: place.view,
+                direction: place.direction,
+                variant: *variant,
+                distance_m: place.distance_m,
+                errors: *errors,
+                figures: *figures,
+            });
+        }
+        Ok(found)
+    }
+
+    fn key(&self, camera: &Camera, settings: &StillSettings) -> anyhow::Result<String> {
         let parts = [
             serde_json::to_string(settings)?,
-            serde_json::to_string(&camera)?,
+            serde_json::to_string(camera)?,
             serde_json::to_string(&self.size)?,
         ];
         let parts: Vec<&str> = parts
@@ -280,33 +372,67 @@ impl Bench {
             .chain(&self.depends_on)
             .map(String::as_str)
             .collect();
-        let key = key_of(&parts);
-        if let Some(errors) = self.kept.0.get(&key) {
-            self.progress.done("is there");
-            return Ok(*errors);
-        }
-        let truth = match truth {
-            Some(truth) => truth,
-            None => truth.insert(self.shown(camera, exact)?),
-        };
-        let errors = shown_errors(truth, &self.shown(camera, settings)?)?;
-        ensure!(
-            errors.flip.is_finite(),
-            "a picture has values that are no numbers"
-        );
-        self.kept.0.insert(key, errors);
-        write_whole(&self.path, &serde_json::to_vec(&self.kept)?)?;
-        self.progress.done(&format!("FLIP {:.4}", errors.flip));
-        Ok(errors)
+        Ok(key_of(&parts))
     }
 
-    fn shown(&mut self, camera: Camera, settings: &StillSettings) -> anyhow::Result<RgbImage> {
-        let progress = &self.progress;
+    /// What variants show. Costs are looked at where they are compared.
+    fn pictures(
+        &mut self,
+        place: &Place,
+        variants: &[Variant],
+        settings: StillSettings,
+    ) -> anyhow::Result<Vec<(RgbImage, FrameFigures)>> {
+        let frames: Vec<StillFrame> = variants
+            .iter()
+            .map(|variant| StillFrame {
+                camera: place.camera,
+                parallax_steps: variant.parallax_steps(),
+                phase_of_reference: *variant == Variant::Plain,
+            })
+            .collect();
+        let is_compared = place.distance_m == place.direction.compared_at_m();
+        let costs = FrameCosts {
+            timed: if is_compared { TIMED } else { 0 },
+            counts_reads: is_compared,
+        };
+        let mut pictures = Vec::new();
+        self.still.render_frames(
+            self.size,
+            &settings,
+            &frames,
+            costs,
+            |_, display, figures| {
+                pictures.push((display, figures));
+                Ok(())
+            },
+        )?;
+        pictures
+            .into_iter()
+            .map(|(display, figures)| Ok((rgb_of(self.size, &display)?, figures)))
+            .collect()
+    }
+
+    fn from_the_eye(&mut self, camera: Camera) -> anyhow::Result<RgbImage> {
+        let settings = self.fineness.screen_space();
         let picture = self
             .still
-            .render_with(camera, self.size, settings, |share| progress.share(share))?;
-        let pixels = without_alpha(&picture.display);
-        RgbImage::from_raw(self.size.width(), self.size.height(), pixels)
-            .context("the device gave a picture of another size")
+            .render_with(camera, self.size, &settings, |_| {})?;
+        rgb_of(self.size, &picture.display)
     }
+}
+
+fn label(place: &Place, variant: Variant) -> String {
+    format!(
+        "{}, {} {} m, {}",
+        place.view.name(),
+        place.direction.name(),
+        place.distance_m,
+        variant.name()
+    )
+}
+
+/// A picture of 4 bytes a pixel without its alpha.
+pub(super) fn rgb_of(size: FrameSize, display: &[u8]) -> anyhow::Result<RgbImage> {
+    RgbImage::from_raw(size.width(), size.height(), without_alpha(display))
+        .context("the device gave a picture of another size")
 }

@@ -1,7 +1,7 @@
 //! The report as one page that needs no other file.
 
 use super::plan::{Direction, Variant, View};
-use super::report::{DistanceReport, Reach};
+use super::report::{DistanceReport, Reach, VariantCost};
 use crate::measure::report::{Curve, LinePlot, short, whole_page};
 use maud::{Markup, html};
 
@@ -23,6 +23,8 @@ pub(super) fn page(report: &DistanceReport) -> String {
         }
         h2 { "Distances of equal error" }
         (reaches(&report.reaches))
+        h2 { "Costs of a composite" }
+        (costs(&report.costs))
         h2 { "FLIP over distance" }
         @for direction in Direction::ALL {
             div.plots { @for view in View::ALL { (plot(report, direction, view)) } }
@@ -47,6 +49,24 @@ fn reaches(reaches: &[Reach]) -> Markup {
                     Some(reached_m) => (format!("{reached_m:.0}")),
                     None => { "not within " (reach.measured_m) }
                 } }
+            } } }
+        } }
+    }
+}
+
+fn costs(costs: &[VariantCost]) -> Markup {
+    let first_ns = costs.first().and_then(|cost| cost.composite_ns);
+    html! {
+        p { "Means over the points at which variants are compared. Reads of texels, page tables and origins of rays; device time, the least of some." }
+        div.scroll { table {
+            thead { tr { th { "Cache" } th.n { "reads a pixel" } th.n { "device, ms" } th.n { "÷ the first" } } }
+            tbody { @for cost in costs { tr {
+                td { (cost.variant.name()) }
+                td.n { (short(cost.reads_per_pixel)) }
+                @match (cost.composite_ns, first_ns) {
+                    (Some(ns), Some(first_ns)) => { td.n { (short(ns * 1e-6)) } td.n { (short(ns / first_ns)) } }
+                    _ => { td.n { "–" } td.n { "–" } }
+                }
             } } }
         } }
     }

@@ -3,6 +3,7 @@
 use crate::config::FrameFilter;
 use crate::frame_loop::StillSettings;
 use crate::march::MarchSettings;
+use crate::quality::default_parallax_steps;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use skycell_protocol::{Camera, RendererKind};
@@ -39,8 +40,8 @@ impl Direction {
     #[must_use]
     pub fn distances_m(self, is_quick: bool) -> &'static [f64] {
         match (self, is_quick) {
-            (Self::Up, false) => &[0.0, 100.0, 300.0, 600.0, 800.0, 1_100.0, 1_400.0],
-            (_, false) => &[0.0, 100.0, 300.0, 1_000.0, 2_000.0, 3_000.0, 5_000.0],
+            (Self::Up, false) => &[0.0, 100.0, 300.0, 600.0, 800.0, 1_100.0, 1_500.0],
+            (_, false) => &[0.0, 100.0, 300.0, 1_000.0, 3_000.0, 4_500.0, 5_000.0],
             (Self::Up, true) => &[0.0, 300.0, 1_100.0],
             (_, true) => &[0.0, 1_000.0, 3_000.0],
         }
@@ -63,7 +64,8 @@ impl Direction {
             Self::Forward => DVec3::Y.cross(camera.right()),
             Self::Up => DVec3::Y,
         };
-        way * distance_m
+        // No zero has a sign: the same place is told in the same way.
+        way * distance_m + DVec3::ZERO
     }
 }
 
@@ -108,25 +110,91 @@ impl View {
 )]
 #[serde(rename_all = "kebab-case")]
 pub enum Variant {
-    /// On the spheres alone, with the phase of its own ray.
+    /// On one sphere a layer, with the phase of the reference's ray (Weinrauch et al. 2023).
+    Plain,
+    /// The same with the phase of the viewer's own ray.
     Phase,
-    /// And where the altitude of what texels show leads.
+    /// And a search along the viewer's ray, at 16 places.
     Parallax,
+    /// Four slabs a layer, each on its sphere alone.
+    Slabs,
+    /// Four slabs a layer, each searched at 16 places.
+    All,
+    /// One sphere, searched at 4 places.
+    ParallaxFew,
+    /// Two slabs, each searched at 16 places.
+    TwoSlabs,
+    /// Two slabs, each searched at 4 places.
+    TwoSlabsFew,
+    /// Four slabs, each searched at 4 places.
+    AllFew,
 }
 
+/// Places of a search where reading the cache is dear.
+const FEW_PLACES: u32 = 4;
+
 impl Variant {
-    /// The one that viewers of a server get.
-    pub const SERVED: Self = Self::Parallax;
-    /// Every variant, from the simplest on.
-    pub const ALL: [Self; 2] = [Self::Phase, Self::Parallax];
+    /// Every variant: those that are compared, from the simplest on, and those of which only the curves are needed.
+    pub const ALL: [Self; 9] = [
+        Self::Plain,
+        Self::Phase,
+        Self::Parallax,
+        Self::Slabs,
+        Self::All,
+        Self::ParallaxFew,
+        Self::TwoSlabs,
+        Self::TwoSlabsFew,
+        Self::AllFew,
+    ];
+    /// Those that are measured where nobody says which.
+    pub const COMPARED: [Self; 5] = [
+        Self::Plain,
+        Self::Phase,
+        Self::Parallax,
+        Self::Slabs,
+        Self::All,
+    ];
 
     /// As people read it.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
-            Self::Phase => "spheres alone",
+            Self::Plain => "plain",
+            Self::Phase => "phase",
             Self::Parallax => "parallax",
+            Self::Slabs => "4 slabs",
+            Self::All => "all (4 slabs, searched)",
+            Self::ParallaxFew => "parallax, 4 places",
+            Self::TwoSlabs => "2 slabs, searched",
+            Self::TwoSlabsFew => "2 slabs, 4 places",
+            Self::AllFew => "4 slabs, 4 places",
         }
+    }
+
+    /// Slabs of a layer.
+    #[must_use]
+    pub const fn slabs(self) -> u32 {
+        match self {
+            Self::Plain | Self::Phase | Self::Parallax | Self::ParallaxFew => 1,
+            Self::TwoSlabs | Self::TwoSlabsFew => 2,
+            Self::Slabs | Self::All | Self::AllFew => 4,
+        }
+    }
+
+    /// Most places of a search in each of them.
+    #[must_use]
+    pub const fn parallax_steps(self) -> u32 {
+        match self {
+            Self::Plain | Self::Phase | Self::Slabs => 0,
+            Self::Parallax | Self::All | Self::TwoSlabs => default_parallax_steps(),
+            Self::ParallaxFew | Self::TwoSlabsFew | Self::AllFew => FEW_PLACES,
+        }
+    }
+
+    /// Whether a server can be set so: its viewers have their own phase.
+    #[must_use]
+    pub fn is_served(self) -> bool {
+        self != Self::Plain
     }
 }
 
@@ -159,17 +227,13 @@ impl Fineness {
     /// The same from a cache whose rays start `offset_m` from the eye.
     #[must_use]
     pub fn cached(self, variant: Variant, offset_m: DVec3) -> StillSettings {
-        let cached = StillSettings {
+        StillSettings {
             renderer: RendererKind::Cached,
             reference_offset_m: offset_m.to_array(),
+            parallax_steps: variant.parallax_steps(),
+            slabs: variant.slabs(),
+            phase_of_reference: variant == Variant::Plain,
             ..self.screen_space()
-        };
-        match variant {
-            Variant::Phase => StillSettings {
-                parallax_steps: 0,
-                ..cached
-            },
-            Variant::Parallax => cached,
         }
     }
 }

@@ -1,7 +1,8 @@
 //! What was measured, and at which distance each way to read the cache is as wrong as the plain one.
 
 use super::plan::{Direction, Fineness, Variant, View};
-use crate::cells::{ErrorAt, ErrorCurveFile};
+use crate::cells::{ErrorAt, ErrorCurveFile, ReadingCurve};
+use crate::frame_loop::FrameFigures;
 use crate::measure::metrics::ShownErrors;
 use anyhow::ensure;
 use serde::Serialize;
@@ -22,6 +23,20 @@ pub struct DistancePoint {
     /// How far the pictures are apart.
     #[serde(flatten)]
     pub errors: ShownErrors,
+    /// What the picture took: of those that share texels with others, what was left to march. Composites are looked at
+    /// where variants are compared.
+    pub figures: FrameFigures,
+}
+
+/// What a composite of a variant costs, over the points at which variants are compared.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct VariantCost {
+    /// How the cache is read.
+    pub variant: Variant,
+    /// Mean reads of atlas, page tables and origins for each pixel.
+    pub reads_per_pixel: f64,
+    /// Mean device time of a composite, where the device can tell, ns.
+    pub composite_ns: Option<f64>,
 }
 
 /// Where a variant reaches the error that the plain cache has at a fixed distance.
@@ -74,6 +89,8 @@ pub struct DistanceReport {
     pub points: Vec<DistancePoint>,
     /// Distances of equal error.
     pub reaches: Vec<Reach>,
+    /// What composites cost.
+    pub costs: Vec<VariantCost>,
 }
 
 impl DistanceReport {
@@ -95,6 +112,7 @@ impl DistanceReport {
             pitch_deg,
             scene,
             reaches: reaches(&points),
+            costs: costs(&points),
             points,
         }
     }
@@ -105,29 +123,38 @@ impl DistanceReport {
         curve(&self.points, view, direction, variant)
     }
 
-    /// The largest error of a variant over views, and sideways over both level directions: what the limit of cells follows
-    /// from.
+    /// Of each variant that a server can be set to, the largest error over views, and sideways over both level directions:
+    /// what the limit of cells follows from.
     ///
     /// # Errors
     /// When not all directions were measured.
-    pub fn curve_file(&self, variant: Variant) -> anyhow::Result<ErrorCurveFile> {
-        let sideways = self.largest(&[Direction::Sideways, Direction::Forward], variant);
-        let up = self.largest(&[Direction::Up], variant);
+    pub fn curve_file(&self) -> anyhow::Result<ErrorCurveFile> {
+        let served = Variant::ALL.into_iter().filter(|v| v.is_served());
+        let curves: Vec<ReadingCurve> = served
+            .map(|variant| ReadingCurve {
+                slabs: variant.slabs(),
+                parallax_steps: variant.parallax_steps(),
+                sideways: self.largest(&[Direction::Sideways, Direction::Forward], variant),
+                up: self.largest(&[Direction::Up], variant),
+            })
+            .filter(|curve| curve.sideways.len() > 1 && curve.up.len() > 1)
+            .collect();
         ensure!(
-            sideways.len() > 1 && up.len() > 1,
-            "--write-curve needs {}: allowed are --directions and --variants that hold a level direction, up and --curve-of",
-            variant.name()
+            curves
+                .iter()
+                .any(|curve| (curve.slabs, curve.parallax_steps) == (1, 0)),
+            "--write-curve needs {}: allowed are --directions and --variants that hold a level direction, up and phase",
+            Variant::Phase.name()
         );
         let measured_with = format!(
-            "{}, {}x{}, {} steps, {} samples, {}, against the screen-space renderer from the same eye",
+            "{}, {}x{}, {} steps, {} samples, against the screen-space renderer from the same eye",
             self.adapter,
             self.size.width(),
             self.size.height(),
             self.steps,
             self.samples,
-            variant.name(),
         );
-        Ok(ErrorCurveFile::new(measured_with, sideways, up))
+        Ok(ErrorCurveFile::new(measured_with, curves))
     }
 
     fn largest(&self, directions: &[Direction], variant: Variant) -> Vec<ErrorAt> {
@@ -146,6 +173,23 @@ impl DistanceReport {
         largest.sort_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
         largest
     }
+}
+
+fn costs(points: &[DistancePoint]) -> Vec<VariantCost> {
+    let mean = |values: Vec<f64>| {
+        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    };
+    let of = |variant| {
+        let these = || points.iter().filter(move |p| p.variant == variant);
+        let reads = these().filter_map(|p| p.figures.reads_per_pixel);
+        let times = these().filter_map(|p| p.figures.composite_ns);
+        Some(VariantCost {
+            variant,
+            reads_per_pixel: mean(reads.collect())?,
+            composite_ns: mean(times.map(|ns| ns as f64).collect()),
+        })
+    };
+    Variant::ALL.into_iter().filter_map(of).collect()
 }
 
 fn curve(
@@ -220,9 +264,10 @@ mod tests {
         DistancePoint {
             view,
             direction,
-            variant: Variant::SERVED,
+            variant: Variant::Phase,
             distance_m,
             errors: ShownErrors { flip, ssim: 1.0 },
+            figures: FrameFigures::default(),
         }
     }
 
@@ -265,12 +310,15 @@ mod tests {
             point(Direction::Up, to, 0.0, 0.01),
             point(Direction::Up, to, 300.0, 0.09),
         ]);
-        let file = report.curve_file(Variant::SERVED).expect("all directions");
-        let flips: Vec<f64> = file.sideways.iter().map(|at| at.flip).collect();
+        let file = report.curve_file().expect("all directions");
+        let [curve] = &file.curves[..] else {
+            panic!("one variant was measured: {file:?}");
+        };
+        let flips: Vec<f64> = curve.sideways.iter().map(|at| at.flip).collect();
         assert_eq!(flips, [0.02, 0.03]);
-        assert_eq!(file.up.len(), 2);
+        assert_eq!(curve.up.len(), 2);
         assert!(
-            crate::cells::ErrorCurve::from_json_text(&serde_json::to_string(&file).expect("JSON"))
+            crate::cells::ErrorCurves::from_json_text(&serde_json::to_string(&file).expect("JSON"))
                 .is_ok()
         );
     }
@@ -281,9 +329,7 @@ mod tests {
             point(Direction::Up, View::TowardsSun, 0.0, 0.01),
             point(Direction::Up, View::TowardsSun, 300.0, 0.09),
         ]);
-        let error = report
-            .curve_file(Variant::SERVED)
-            .expect_err("no level one");
+        let error = report.curve_file().expect_err("no level one");
         assert!(error.to_string().contains("--directions"), "{error}");
     }
 }

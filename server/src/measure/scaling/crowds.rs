@@ -399,7 +399,13 @@ mod tests {
     }
 
     fn outcome(setup: &CrowdSetup) -> CrowdOutcome {
-        watch(setup, &Scene::default(), &ErrorCurve::embedded(), |_| {}).without_clock()
+        watch(
+            setup,
+            &Scene::default(),
+            crate::cells::ErrorCurves::embedded().of(1, 16),
+            |_| {},
+        )
+        .without_clock()
     }
 
     #[test]

@@ -13,9 +13,10 @@ use super::arguments::parsed_size;
 use super::progress::{Progress, spoken};
 use super::store::{key_of, write_whole};
 use super::trade::version;
-use crate::cells::{CellLimit, CrowdMotion, ErrorCurve};
+use crate::cells::{CellLimit, CrowdMotion, ErrorCurve, ErrorCurves};
 use crate::config::RenderConfig;
 use crate::frame_loop::{SharedFigures, StillRenderer};
+use crate::quality::default_parallax_steps;
 use crate::render_command::{Folders, read_scene};
 use anyhow::{Context, ensure};
 use crowds::{CrowdOutcome, CrowdSetup, watch};
@@ -303,6 +304,8 @@ impl ScalingArguments {
 
 /// Halvings of the caches' resolution of crowds.
 const CROWD_MIP_BIAS: f32 = 1.0;
+/// Slabs of a layer in crowds' caches.
+const CROWD_SLABS: u32 = 1;
 
 fn given<T: Clone>(asked: &[T], default: &[T]) -> Vec<T> {
     if asked.is_empty() { default } else { asked }.to_vec()
@@ -320,8 +323,9 @@ pub(super) fn run(arguments: &ScalingArguments) -> anyhow::Result<()> {
     let out = &arguments.out;
     std::fs::create_dir_all(out)
         .with_context(|| format!("--out {} cannot be made", out.display()))?;
-    let curve = ErrorCurve::embedded();
-    let plan = arguments.plan(&curve)?;
+    let curves = ErrorCurves::embedded();
+    let curve = curves.of(CROWD_SLABS, default_parallax_steps());
+    let plan = arguments.plan(curve)?;
     let crowd_work = |setup: &CrowdSetup| CROWD_WORK * setup.viewers as f64 * setup.duration_s;
     let works = plan.crowds.iter().map(crowd_work);
     let works = works.chain(plan.rings.iter().map(RingSetup::expected_work));
@@ -330,7 +334,7 @@ pub(super) fn run(arguments: &ScalingArguments) -> anyhow::Result<()> {
     for setup in &plan.crowds {
         let name = format!("{} who {}", setup.viewers, setup.motion.name());
         progress.begin(&name, crowd_work(setup));
-        let outcome = watch(setup, &plan.scene, &curve, |share| progress.share(share));
+        let outcome = watch(setup, &plan.scene, curve, |share| progress.share(share));
         progress.done(&format!(
             "{:.0} cells, {:.2} changes a viewer and minute, {:.0} texels a viewer and second",
             outcome.cells.median,
