@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{CellId, RendererKind, ViewerId};
+use crate::{CellId, RendererKind, Stereo, ViewerId};
 
 /// A message from a server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -81,6 +81,9 @@ pub struct Status {
     /// Why this client's frames do not show what was asked for; null where they do.
     #[serde(default)]
     pub show_note: Option<String>,
+    /// The two eyes whose pictures this client's frames hold; null for one.
+    #[serde(default)]
+    pub stereo: Option<Stereo>,
 }
 
 /// What the server has picked for a client.

@@ -12,7 +12,8 @@ pub use address::{
 };
 pub use pool::{Slot, SlotPool};
 pub use requests::{
-    Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, is_above_horizon, requested_tiles,
+    Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, is_above_horizon, requested_by_eyes,
+    requested_tiles,
 };
 pub use sphere::{NO_TILE, PageTables, SphereCache, Want};
 

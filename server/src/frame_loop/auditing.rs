@@ -255,6 +255,7 @@ mod tests {
                 renderer: RendererKind::Cached,
                 quality: None,
                 show: skycell_protocol::Show::Picture,
+                stereo: None,
             },
         );
         loop {

@@ -107,6 +107,7 @@ impl Outbound<'_> {
             codec: FrameCodec::None,
             heartbeat: true,
             coarse: self.last.is_some_and(|last| last.coarse),
+            stereo: self.last.is_some_and(|last| last.stereo),
             sequence: self.last.map_or(FrameSequence(0), |last| last.sequence),
             width: 0,
             height: 0,
@@ -197,5 +198,6 @@ fn status_of(
         renderer: known.map(|known| known.renderer),
         renderer_note: known.and_then(|known| known.renderer_note.map(str::to_owned)),
         show_note: known.and_then(|known| known.show_note.map(str::to_owned)),
+        stereo: viewer.view().stereo,
     }
 }

@@ -292,7 +292,7 @@ impl SkyRenderer {
         }
         let is_first = transition.way.stage() == Stage::Fades && transition.fade.is_none();
         if is_first {
-            let bytes = PictureFade::bytes_of(viewer.view.size);
+            let bytes = PictureFade::bytes_of(viewer.view.picture_size());
             if self.fade_bytes() + bytes > PICTURES_BYTES_MAX {
                 transition.way.give_up();
             } else {
@@ -392,7 +392,7 @@ impl SkyRenderer {
     fn fade_bytes(&self) -> u64 {
         let fading = self.viewers.values().filter(|viewer| viewer.fades());
         fading
-            .map(|viewer| PictureFade::bytes_of(viewer.view.size))
+            .map(|viewer| PictureFade::bytes_of(viewer.view.picture_size()))
             .sum()
     }
 
