@@ -96,11 +96,15 @@ fn each_half_is_what_one_eye_sees_from_its_place() -> anyhow::Result<()> {
         filter: FrameFilter::Bilinear,
         ..settings(cached)
     };
-    let in_motion = StillSettings {
+    let not_full = StillSettings {
         window: Some(window),
+        frames: 3,
+        ..settings(own)
+    };
+    let in_motion = StillSettings {
         frames: 6,
         turn_deg_per_frame: 1.5,
-        ..settings(own)
+        ..not_full
     };
     let showing = |show| StillSettings {
         show,
@@ -116,7 +120,9 @@ fn each_half_is_what_one_eye_sees_from_its_place() -> anyhow::Result<()> {
         ("from the cache", settings(cached), 100.0),
         ("from the cache as on a software driver", as_frames, 100.0),
         ("by rays of its own", settings(own), 100.0),
-        ("by a window that turns", in_motion, 100.0),
+        ("by a window that is not full", not_full, 100.0),
+        // A pair turns about its middle: apart, its eyes come from other places than one that turns about itself.
+        ("by a window that turns", in_motion, 0.0),
         ("level of the cache", showing(Show::CacheMip), 100.0),
         ("transmittance", showing(Show::Transmittance), 100.0),
         ("density along rays", showing(Show::Density), 100.0),

@@ -4,7 +4,7 @@ use anyhow::ensure;
 use image::RgbImage;
 use serde_json::{Value, json};
 use skycell_protocol::message::{Hello, ViewChange};
-use skycell_protocol::{Codec, FrameSize, RendererKind, Stereo};
+use skycell_protocol::{Codec, FrameCodec, FrameSize, RendererKind, Stereo};
 use skycell_tests::picture::{colours, decoded, mean_difference};
 use skycell_tests::server::total_of;
 use skycell_tests::viewer::camera;
@@ -30,7 +30,8 @@ fn halves(picture: &RgbImage) -> [RgbImage; 2] {
 fn is_pair(seen: &Seen) -> bool {
     seen.frame.as_ref().is_some_and(|frame| {
         let header = &frame.header;
-        header.stereo && (u32::from(header.width), u32::from(header.height)) == (2 * SIZE[0], SIZE[1])
+        header.stereo
+            && (u32::from(header.width), u32::from(header.height)) == (2 * SIZE[0], SIZE[1])
     })
 }
 
@@ -58,10 +59,13 @@ async fn two_eyes_come_in_one_picture_from_one_cache_and_go_again() -> anyhow::R
     let people = Stereo::new(0.064)?;
     let viewer = Viewer::join_as(&server, hello(Some(people))?).await?;
     let seen = viewer.wait_for("a picture of two eyes", is_pair).await?;
-    ensure!(seen.frame()?.header.codec == Codec::Png.into());
+    ensure!(seen.frame()?.header.codec == FrameCodec::Png);
     let stats = server.at_rest(1).await?;
     let two = total_of(&stats, "texels_updated")? - before;
-    ensure!(two as f64 <= 1.02 * one as f64, "{one} for one eye, {two} for two");
+    ensure!(
+        two as f64 <= 1.02 * one as f64,
+        "{one} for one eye, {two} for two"
+    );
     // One viewer, one request.
     ensure!(stats["cells"][0]["viewers"].as_array().map(Vec::len) == Some(1));
     ensure!(stats["cells"][0]["texels_requested"] == stats["cells"][0]["texels_unique"]);
@@ -81,7 +85,10 @@ async fn two_eyes_come_in_one_picture_from_one_cache_and_go_again() -> anyhow::R
             seen.heartbeat.is_some_and(|header| header.stereo) && seen.status.is_some()
         })
         .await?;
-    ensure!(seen.status.is_some_and(|status| status.stereo == Some(people)));
+    ensure!(
+        seen.status
+            .is_some_and(|status| status.stereo == Some(people))
+    );
 
     // Wider apart: what the eyes see differs, and the cell keeps what it has.
     let far = ViewChange {
@@ -91,7 +98,9 @@ async fn two_eyes_come_in_one_picture_from_one_cache_and_go_again() -> anyhow::R
     let frames = viewer.seen().frames;
     viewer.wish(far).await?;
     viewer
-        .wait_for("the next picture", |seen| seen.frames > frames && is_pair(seen))
+        .wait_for("the next picture", |seen| {
+            seen.frames > frames && is_pair(seen)
+        })
         .await?;
     server.at_rest(1).await?;
     let [left, right] = halves(&decoded(viewer.seen().frame()?)?);
@@ -105,7 +114,9 @@ async fn two_eyes_come_in_one_picture_from_one_cache_and_go_again() -> anyhow::R
     let frames = viewer.seen().frames;
     viewer.wish(none).await?;
     viewer
-        .wait_for("the next picture", |seen| seen.frames > frames && is_pair(seen))
+        .wait_for("the next picture", |seen| {
+            seen.frames > frames && is_pair(seen)
+        })
         .await?;
     server.at_rest(1).await?;
     let [left, right] = halves(&decoded(viewer.seen().frame()?)?);

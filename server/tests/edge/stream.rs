@@ -79,10 +79,14 @@ async fn frames_of_two_eyes_are_twice_as_wide_and_say_so() {
         (&json!(64), &json!({"eye_distance_m": 0.064}))
     );
     // Too wide for two eyes: refused as a whole, with both eyes open.
-    client.say(&json!({"type": "view", "width": 2000, "height": 16})).await;
+    client
+        .say(&json!({"type": "view", "width": 2000, "height": 16}))
+        .await;
     let error = client.error().await;
     assert_eq!(error["pointer"], "/width");
-    client.frame_with(|header| header.stereo && header.height == 32).await;
+    client
+        .frame_with(|header| header.stereo && header.height == 32)
+        .await;
     client.say(&json!({"type": "view", "stereo": null})).await;
     client
         .frame_with(|header| !header.stereo && header.width == 64)

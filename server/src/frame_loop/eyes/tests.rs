@@ -39,7 +39,7 @@ fn on_the_way_between_two_cells_both_halves_are_what_one_eye_is_shown() {
     let document = json!({"version": 1, "wind": {"speed_m_per_s": 0}, "layers": [
         {"name": "low", "density": {"model": "homogeneous", "shape":
          {"form": "sphere", "center_m": [0, 2000, -3000], "radius_m": 900}}}]});
-    let pair = Stereo::new(20.0).expect("a distance");
+    let pair = Stereo::new(60.0).expect("a distance");
     let mut driven = Driven::new(16, &document, &[placed("a", 0.0), placed("b", 110.0)]);
     for (id, camera) in cameras(pair, 0.0) {
         let mut view = view(SIZE, camera);
@@ -56,7 +56,7 @@ fn on_the_way_between_two_cells_both_halves_are_what_one_eye_is_shown() {
             0.0,
             "right, stage {stage}"
         );
-        assert!(apart(&left, &right) > 0.1, "nothing of 20 m to be seen");
+        assert!(apart(&left, &right) > 0.1, "nothing of 60 m to be seen");
         compared[stage] += 1;
     };
     compare(&mut driven, 0);
