@@ -67,6 +67,7 @@ mod tests {
             codec,
             heartbeat: false,
             coarse: false,
+            stereo: false,
             sequence: FrameSequence(1),
             width,
             height,

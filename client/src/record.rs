@@ -12,7 +12,7 @@ use serde::Serialize;
 use skycell_protocol::message::{Acknowledgement, Hello};
 use skycell_protocol::{
     Camera, CameraDocument, Codec, FrameHeader, FrameSize, InputSequence, QualityChoice,
-    QualityPreset,
+    QualityPreset, Stereo,
 };
 use thiserror::Error;
 use tokio::time::{Instant, timeout_at};
@@ -36,8 +36,10 @@ pub struct RecordOptions {
     pub frames: u32,
     /// Frames per second of the recording: frame i shows the path at i / fps.
     pub fps: f64,
-    /// Size of the pictures.
+    /// Size of the pictures, or of each of two eyes' in one.
     pub size: FrameSize,
+    /// Pictures of two eyes, side by side in one file.
+    pub stereo: Option<Stereo>,
     /// PNG for exact pictures, JPEG for a fast connection; files are PNG either way.
     pub codec: Codec,
     /// How good pictures are to be; none for what the scene or the server says.
@@ -57,10 +59,12 @@ pub struct RecordIndex {
     pub server: String,
     /// What rendered.
     pub adapter: String,
-    /// Pixels in a row.
+    /// Pixels in a row of a picture, of both eyes together where there are two.
     pub width: u32,
     /// Rows.
     pub height: u32,
+    /// The two eyes that pictures hold side by side; null for one.
+    pub stereo: Option<Stereo>,
     /// Frames per second of the recording.
     pub fps: f64,
     /// The pictures in order.
@@ -87,6 +91,7 @@ pub struct RecordedFrame {
 #[expect(missing_docs, reason = "field for field those of FrameHeader")]
 pub struct HeaderRecord {
     pub coarse: bool,
+    pub stereo: bool,
     pub sequence: u32,
     pub scene_revision: u64,
     pub input: u64,
@@ -103,6 +108,7 @@ impl From<&FrameHeader> for HeaderRecord {
     fn from(header: &FrameHeader) -> Self {
         Self {
             coarse: header.coarse,
+            stereo: header.stereo,
             sequence: header.sequence.0,
             scene_revision: header.scene_revision,
             input: header.input.0,
@@ -168,16 +174,22 @@ pub async fn record(
     let hello = Hello {
         codec: options.codec,
         quality: options.quality.map(QualityChoice::Preset),
+        stereo: options.stereo,
         ..Hello::new(options.size, options.fps, first)
     };
     let mut connection = Connection::open(address, hello, ConnectionLimits::default()).await?;
     let welcome = connection.welcome().clone();
+    let shown = match options.stereo {
+        Some(_) => options.size.pair(),
+        None => options.size,
+    };
     let mut index = RecordIndex {
         url: address.to_string(),
         server: welcome.server,
         adapter: welcome.adapter,
-        width: options.size.width(),
-        height: options.size.height(),
+        width: shown.width(),
+        height: shown.height(),
+        stereo: options.stereo,
         fps: options.fps,
         frames: Vec::new(),
     };

@@ -17,6 +17,7 @@ fn options() -> LoadOptions {
         ring: ViewerRing::new(8, size, [0.0, 2.0, 0.0], 0.0, None).expect("a ring"),
         overlaps: vec![0.0, 0.6, 1.0],
         size,
+        stereo: None,
         fps: 60.0,
         converge_timeout: Duration::from_secs(10),
         turn_duration: Duration::from_millis(300),

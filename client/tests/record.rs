@@ -10,7 +10,7 @@ use serde_json::Value;
 use skycell_client::camera_path::CameraPath;
 use skycell_client::record::{RecordError, RecordOptions, record};
 use skycell_protocol::message::ClientMessage;
-use skycell_protocol::{Camera, Codec, FrameSize};
+use skycell_protocol::{Camera, Codec, FrameSize, Stereo};
 use support::{Behaviour, FakeServer, color_of};
 
 fn options(directory: &Path, turn_deg: f64) -> RecordOptions {
@@ -20,6 +20,7 @@ fn options(directory: &Path, turn_deg: f64) -> RecordOptions {
         frames: 6,
         fps: 5.0,
         size: FrameSize::new(32, 18).expect("in range"),
+        stereo: None,
         codec: Codec::Png,
         quality: None,
         sharp_wait: Duration::from_secs(2),
@@ -73,6 +74,33 @@ async fn a_jpeg_stream_is_saved_as_png() {
         .zip(expected)
         .any(|(is, should)| is.abs_diff(should) > 6);
     assert!(!differs);
+}
+
+#[tokio::test]
+async fn a_pair_of_eyes_is_asked_for_and_saved_side_by_side() {
+    let server = FakeServer::start(Behaviour::default()).await;
+    let directory = tempfile::tempdir().expect("a directory");
+    let stereo = Stereo::new(0.064).ok();
+    let options = RecordOptions {
+        stereo,
+        ..options(directory.path(), 100.0)
+    };
+    let index = record(&server.address, &options, &ProgressBar::hidden())
+        .await
+        .expect("a recording");
+    let hello = server
+        .messages()
+        .into_iter()
+        .find_map(|message| match message {
+            ClientMessage::Hello(hello) => Some(hello),
+            _ => None,
+        });
+    let hello = hello.expect("a hello");
+    assert_eq!((hello.size, hello.stereo), (options.size, stereo));
+    assert!(index.frames.iter().all(|frame| frame.header.stereo));
+    assert_eq!((index.width, index.height, index.stereo), (64, 18, stereo));
+    let file = image::open(directory.path().join("frame-00003.png")).expect("a picture");
+    assert_eq!((file.width(), file.height()), (64, 18));
 }
 
 #[tokio::test]

@@ -109,6 +109,14 @@ async fn the_binary_says_what_is_wrong_and_fails() {
         ),
         (&["load", "--width", "0"], "/width is 0"),
         (
+            &["load", "--width", "2000", "--stereo", "0.064"],
+            "/width is 2000; allowed: 1 to 1920 for each of two eyes",
+        ),
+        (
+            &["record", "--out", "unused", "--stereo", "-1"],
+            "/eye_distance_m is -1; allowed: 0 to 100",
+        ),
+        (
             &["record", "--out", "unused", "--fps", "0"],
             "--fps is 0; allowed: 1 to 120",
         ),

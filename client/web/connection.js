@@ -19,14 +19,17 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
 
 /**
  * @typedef {object} View  what a viewer wishes
- * @property {number} width  pixels, at most `welcome.max_width`
+ * @property {number} width  pixels, at most `welcome.max_width`; with two eyes those of one, at most half of it
  * @property {number} height  pixels, at most `welcome.max_height`
  * @property {number} fps  1 to 120
  * @property {"jpeg" | "png"} [codec]
  * @property {number} [jpeg_quality]  1 to 100
  * @property {Quality | null} [quality]  null: what the scene or the server says
  * @property {string} [show]  name of a view, as `/api/v1/views` lists them
+ * @property {Stereo | null} [stereo]  two eyes, side by side in each frame; null: one
  */
+
+/** @typedef {{ eye_distance_m: number }} Stereo  0 to 100 m */
 
 /**
  * @typedef {{ preset: "draft" | "balanced" | "high" | "reference" } | { max_error: number } | { budget_ms: number }} Quality
@@ -69,6 +72,7 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @property {PickedQuality | null} [quality]  null until the renderer has placed the viewer
  * @property {string | null} [renderer]  which renderer makes the frames
  * @property {string | null} [renderer_note]  why it is not the one that was asked for
+ * @property {Stereo | null} [stereo]  the two eyes whose pictures frames hold
  * @property {string | null} [show_note]  why frames do not show the view that was asked for
  * @property {string | null} [loss_note]  what the view cell has lost because memory or time do not suffice
  * @property {number | null} [cache_error_p50_percent]  how far half of the cached texels are from fresh ones at most

@@ -6,8 +6,9 @@
  * @property {"none" | "jpeg" | "png"} codec  how the payload is encoded; "none" for a heartbeat
  * @property {boolean} heartbeat  nothing new to show: no payload, only a sign of life
  * @property {boolean} coarse  some visible part is not yet at the resolution that was asked for
+ * @property {boolean} stereo  the picture holds those of two eyes side by side, the left eye's on the left
  * @property {number} sequence  counts this viewer's frames; an acknowledgement names it
- * @property {number} width  pixels
+ * @property {number} width  pixels, of both eyes together where there are two
  * @property {number} height  pixels
  * @property {number} scene_revision  revision of the scene that the picture shows
  * @property {number} input  the last camera input that the picture shows; 0 is the camera of hello
@@ -27,6 +28,7 @@ const MAGIC = 0x46594b53; // "SKYF" read as a little-endian u32
 const VERSION = 1;
 const FLAG_HEARTBEAT = 1;
 const FLAG_COARSE = 2;
+const FLAG_STEREO = 4;
 const CODECS = /** @type {const} */ (["none", "jpeg", "png"]);
 
 /** A frame that does not follow the protocol. */
@@ -69,6 +71,7 @@ export function parseFrameHeader(message) {
     codec,
     heartbeat: (flags & FLAG_HEARTBEAT) !== 0,
     coarse: (flags & FLAG_COARSE) !== 0,
+    stereo: (flags & FLAG_STEREO) !== 0,
     sequence: view.getUint32(8, true),
     width: view.getUint16(12, true),
     height: view.getUint16(14, true),

@@ -2,8 +2,8 @@
 /**
  * The page: one connection, one picture, one look, and a status line.
  *
- * URL parameters: yaw, pitch, fov (degrees), width, height (pixels), fps, quality (a preset), show (a view's name).
- * `/api/v1/views` lists the views.
+ * URL parameters: yaw, pitch, fov (degrees), width, height (pixels), fps, quality (a preset), show (a view's name), stereo
+ * (how far two eyes are apart, metres). `/api/v1/views` lists the views.
  */
 
 import { attachCellMap } from "./cell-map.js";
@@ -53,6 +53,7 @@ const stage = element("stage", HTMLElement);
 const size_chooser = element("size", HTMLSelectElement);
 const quality_chooser = element("quality", HTMLSelectElement);
 const show_chooser = element("show", HTMLSelectElement);
+const stereo_box = element("stereo", HTMLInputElement);
 
 const home = {
   position_m: /** @type {[number, number, number]} */ ([0, 2, 0]),
@@ -80,11 +81,21 @@ function wantedQuality() {
   return preset === "" ? null : { preset: /** @type {"draft" | "balanced" | "high" | "reference"} */ (preset) };
 }
 
+/** Of people. */
+const EYE_DISTANCE_M = 0.064;
+const pair = { eye_distance_m: parameter("stereo", EYE_DISTANCE_M, 0, 100) };
+stereo_box.checked = query.has("stereo");
+
+/** @returns {import("./connection.js").Stereo | null} */
+function wantedEyes() {
+  return stereo_box.checked ? pair : null;
+}
+
 /** @param {ConnectionStatus["welcome"]} welcome */
 function wantedSize(welcome) {
   const box = stage.getBoundingClientRect();
   const device_pixels = { width: box.width * devicePixelRatio, height: box.height * devicePixelRatio };
-  return pictureSize(/** @type {SizeChoice} */ (size_chooser.value), device_pixels, welcome);
+  return pictureSize(/** @type {SizeChoice} */ (size_chooser.value), device_pixels, welcome, wantedEyes() ? 2 : 1);
 }
 
 const socket_url = new URL("ws", location.href);
@@ -94,7 +105,13 @@ socket_url.hash = "";
 
 const view = createView(canvas);
 const connection = connect(socket_url, {
-  view: { ...wantedSize(null), fps: parameter("fps", DEFAULT_FPS, 1, 120), codec: "jpeg", quality: wantedQuality() },
+  view: {
+    ...wantedSize(null),
+    fps: parameter("fps", DEFAULT_FPS, 1, 120),
+    codec: "jpeg",
+    quality: wantedQuality(),
+    stereo: wantedEyes(),
+  },
   camera: home,
 });
 connection.onFrame(view.show);
@@ -127,9 +144,12 @@ const cell_map = attachCellMap({
 function applySize() {
   const { welcome } = connection.status;
   if (!welcome) return; // hello asked for a size that every server should afford
-  connection.setView({ ...wantedSize(welcome), fps: Math.min(parameter("fps", DEFAULT_FPS, 1, 120), welcome.max_fps) });
+  const stereo = wantedEyes();
+  const fps = Math.min(parameter("fps", DEFAULT_FPS, 1, 120), welcome.max_fps);
+  connection.setView({ ...wantedSize(welcome), stereo, fps });
 }
 size_chooser.addEventListener("change", applySize);
+stereo_box.addEventListener("change", applySize);
 /** @type {import("./views.js").ShowReport[]} */
 let known_views = [];
 
@@ -222,7 +242,13 @@ function showFigures(status) {
   write("renderer", server?.renderer ?? "–");
   const notes = [server?.show_note ?? server?.renderer_note, server?.loss_note];
   write("show-note", notes.filter((note) => note).join("; "));
-  write("picture-size", header ? `${header.width} × ${header.height}${header.coarse ? ", still coarse" : ""}` : "–");
+  write("picture-size", header ? sizeText(header) : "–");
+}
+
+/** @param {import("./connection.js").FrameHeader} header */
+function sizeText({ width, height, stereo, coarse }) {
+  const size = stereo ? `2 × ${width / 2} × ${height}` : `${width} × ${height}`;
+  return coarse ? `${size}, still coarse` : size;
 }
 
 /** @type {ConnectionStatus["welcome"]} */

@@ -119,6 +119,16 @@ impl Camera {
         DVec3::new(yaw_rad.cos(), 0.0, yaw_rad.sin())
     }
 
+    /// The same camera somewhat to the right, or to the left by a negative distance. It may stand that far outside of what
+    /// is allowed.
+    pub(crate) fn moved_right(&self, by_m: f64) -> Self {
+        let moved_m = DVec3::from_array(self.position_m) + by_m * self.right();
+        Self {
+            position_m: moved_m.to_array(),
+            ..*self
+        }
+    }
+
     /// The unit vector towards the picture's upper edge.
     pub fn up(&self) -> DVec3 {
         self.right().cross(self.direction())

@@ -8,9 +8,9 @@
 //! | 0..4 | magic | 4 bytes | `SKYF` |
 //! | 4 | version | u8 | 1 |
 //! | 5 | codec | u8 | 0 no picture (heartbeat), 1 JPEG, 2 PNG |
-//! | 6..8 | flags | u16 | bit 0 heartbeat, bit 1 coarse; others are 0 |
+//! | 6..8 | flags | u16 | bit 0 heartbeat, bit 1 coarse, bit 2 stereo: the picture holds those of two eyes side by side, the left eye's on the left, each `width / 2` wide; others are 0 |
 //! | 8..12 | sequence | u32 | number of the frame in this viewer's stream, from 1; numbers of dropped frames are missing. Heartbeat: that of the last frame sent, 0 if none |
-//! | 12..14 | width | u16 | pixels; heartbeat: 0 |
+//! | 12..14 | width | u16 | pixels, of both eyes together where there are two; heartbeat: 0 |
 //! | 14..16 | height | u16 | pixels; heartbeat: 0 |
 //! | 16..24 | scene_revision | u64 | revision of the scene that the frame shows; heartbeat: that of the last frame sent |
 //! | 24..32 | input | u64 | the last `camera` input that the frame has applied; heartbeat: that of the last frame sent |
@@ -38,6 +38,7 @@ pub const FRAME_HEADER_VERSION: u8 = 1;
 
 const FLAG_HEARTBEAT: u16 = 1 << 0;
 const FLAG_COARSE: u16 = 1 << 1;
+const FLAG_STEREO: u16 = 1 << 2;
 
 /// What follows the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -68,9 +69,11 @@ pub struct FrameHeader {
     pub heartbeat: bool,
     /// Some visible part of the sky is not yet at the resolution that was asked for.
     pub coarse: bool,
+    /// The picture holds those of two eyes side by side, the left eye's on the left. Heartbeat: the last frame's did.
+    pub stereo: bool,
     /// Number of the frame in this viewer's stream.
     pub sequence: FrameSequence,
-    /// Pixels in a row.
+    /// Pixels in a row, of both eyes together where there are two.
     pub width: u16,
     /// Rows.
     pub height: u16,
@@ -131,6 +134,9 @@ impl FrameHeader {
         if self.coarse {
             flags |= FLAG_COARSE;
         }
+        if self.stereo {
+            flags |= FLAG_STEREO;
+        }
         bytes[0..4].copy_from_slice(&FRAME_MAGIC);
         bytes[4] = FRAME_HEADER_VERSION;
         bytes[5] = match self.codec {
@@ -179,6 +185,7 @@ impl FrameHeader {
             codec,
             heartbeat: flags & FLAG_HEARTBEAT != 0,
             coarse: flags & FLAG_COARSE != 0,
+            stereo: flags & FLAG_STEREO != 0,
             sequence: FrameSequence(u32_at(header, 8)),
             width: u16::from_le_bytes(array_at(header, 12)),
             height: u16::from_le_bytes(array_at(header, 14)),
@@ -242,6 +249,7 @@ mod tests {
             codec: FrameCodec::Jpeg,
             heartbeat: false,
             coarse: true,
+            stereo: true,
             sequence: FrameSequence(0x0102_0304),
             width: 0x0506,
             height: 0x0708,
@@ -260,7 +268,7 @@ mod tests {
     #[test]
     fn the_bytes_of_a_header_are_pinned() {
         let expected: [u8; FRAME_HEADER_BYTES] = [
-            b'S', b'K', b'Y', b'F', 1, 1, 2, 0, // magic, version, codec, flags
+            b'S', b'K', b'Y', b'F', 1, 1, 6, 0, // magic, version, codec, flags
             4, 3, 2, 1, 6, 5, 8, 7, // sequence, width, height
             0x18, 0x17, 0x16, 0x15, 0x14, 0x13, 0x12, 0x11, // scene_revision
             0x28, 0x27, 0x26, 0x25, 0x24, 0x23, 0x22, 0x21, // input
@@ -299,7 +307,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_header_survives_encoding_and_decoding(
-            (codec, heartbeat, coarse) in (0..3usize, any::<bool>(), any::<bool>()),
+            (codec, heartbeat, coarse, stereo) in (0..3usize, any::<bool>(), any::<bool>(), any::<bool>()),
             (sequence, width, height) in any::<(u32, u16, u16)>(),
             (scene_revision, input, cell, viewer) in any::<(u64, u64, u32, u32)>(),
             (render_unix_us, a, b, c, payload_bytes) in any::<(u64, u32, u32, u32, u32)>(),
@@ -308,6 +316,7 @@ mod tests {
                 codec: [FrameCodec::None, FrameCodec::Jpeg, FrameCodec::Png][codec],
                 heartbeat,
                 coarse,
+                stereo,
                 sequence: FrameSequence(sequence),
                 width,
                 height,

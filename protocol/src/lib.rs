@@ -18,6 +18,7 @@ pub mod quality;
 pub mod read_json;
 pub mod scene;
 pub mod show;
+pub mod stereo;
 pub mod value_error;
 pub mod view;
 
@@ -28,6 +29,7 @@ pub use moment::Moment;
 pub use quality::{QualityChoice, QualityPreset};
 pub use scene::{Scene, SceneDocument, SceneError, SunDepth};
 pub use show::{Show, ShowReport};
+pub use stereo::Stereo;
 pub use value_error::ValueError;
 pub use view::{Codec, FrameSize, JpegQuality, RendererKind};
 

@@ -46,9 +46,17 @@ impl FrameSize {
         self.height
     }
 
+    /// The picture of two eyes side by side, each of this size.
+    pub fn pair(&self) -> Self {
+        Self {
+            width: 2 * self.width,
+            ..*self
+        }
+    }
+
     /// Pixels of the frame.
     pub fn pixels(&self) -> u32 {
-        // At most 3840 * 2160.
+        // At most 3840 * 2160, or twice that.
         self.width * self.height
     }
 }

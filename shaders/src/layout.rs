@@ -475,6 +475,8 @@ gpu_struct! {
         height: u32,
         /// Binary logarithm of the side of the squares that are rounded alike, pixels.
         dither_shift: u32,
+        /// Columns of one eye's part of the picture.
+        eye_width: u32,
     }
 }
 
@@ -716,8 +718,10 @@ gpu_struct! {
         dither_shift: u32,
         /// Most places along a ray at which it is searched for what cached texels show; 0: proxy spheres alone.
         parallax_steps: u32,
-        /// Fills to 16 bytes.
-        pad_view: [u32; 2],
+        /// Columns of the picture that is written: more than the view's where two eyes stand side by side in it.
+        picture_width: u32,
+        /// First column of this view in the picture.
+        first_column: u32,
     }
 }
 

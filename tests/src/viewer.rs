@@ -2,8 +2,8 @@
 
 use anyhow::{Context, bail};
 use skycell_client::{Connection, ConnectionLimits, Event, Frame};
-use skycell_protocol::message::{Acknowledgement, ErrorMessage, Hello, Status};
-use skycell_protocol::{Camera, FrameSize, InputSequence, ViewerId};
+use skycell_protocol::message::{Acknowledgement, ErrorMessage, Hello, Status, ViewChange};
+use skycell_protocol::{Camera, FrameHeader, FrameSize, InputSequence, ViewerId};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
@@ -18,6 +18,8 @@ pub struct Seen {
     pub frames: u64,
     /// The newest status.
     pub status: Option<Status>,
+    /// The newest heartbeat.
+    pub heartbeat: Option<FrameHeader>,
     /// The newest complaint.
     pub complaint: Option<ErrorMessage>,
     /// Why the session ended, when it has.
@@ -36,6 +38,7 @@ impl Seen {
 
 enum Order {
     Look(Camera, oneshot::Sender<InputSequence>),
+    Wish(ViewChange),
     Close,
 }
 
@@ -102,6 +105,15 @@ impl Viewer {
         sent.await.context("the session has ended")
     }
 
+    /// Wishes other frames. What the server thinks of it comes as a complaint, if anything.
+    ///
+    /// # Errors
+    /// When the session has ended.
+    pub async fn wish(&self, change: ViewChange) -> anyhow::Result<()> {
+        let wish = self.orders.send(Order::Wish(change));
+        wish.await.context("the session has ended")
+    }
+
     /// What has been seen so far.
     pub fn seen(&self) -> Seen {
         self.seen.borrow().clone()
@@ -160,6 +172,7 @@ async fn run(
                 Some(Order::Look(camera, answer)) => connection.send_camera(camera).await.map(|input| {
                     let _ = answer.send(input);
                 }),
+                Some(Order::Wish(change)) => connection.change_view(change).await,
                 Some(Order::Close) | None => return connection.close().await,
             },
         };
@@ -189,6 +202,7 @@ async fn note(
             };
             connection.acknowledge(acknowledgement).await?;
         }
+        Event::Heartbeat(header) => seen.send_modify(|seen| seen.heartbeat = Some(header)),
         Event::Status(status) => seen.send_modify(|seen| seen.status = Some(status)),
         Event::Complaint(complaint) => {
             seen.send_modify(|seen| seen.complaint = Some(complaint));

@@ -2,7 +2,7 @@
 //! recorded, and the resources that the compiled shaders reach.
 
 use serde_json::{Value, json};
-use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, Show};
+use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, Show, Stereo};
 use skycell_server::config::RenderConfig;
 use skycell_server::frame_loop::{StillRenderer, StillSettings};
 use skycell_server::gpu::DeviceInventory;
@@ -25,11 +25,11 @@ fn rendered_as(
     kind: RendererKind,
     show: Show,
 ) -> (DeviceInventory, BTreeMap<&'static str, BTreeSet<String>>) {
-    let scene = Scene::from_json(document).expect("a valid document");
-    let noise = target_dir().expect("a folder").join("noise-of-tests");
-    let mut still =
-        StillRenderer::new(RenderConfig::new(noise), Arc::new(scene), &[]).expect("a device");
-    let settings = StillSettings {
+    rendered_with(document, &settings(kind, show))
+}
+
+fn settings(kind: RendererKind, show: Show) -> StillSettings {
+    StillSettings {
         renderer: kind,
         show,
         samples: 1,
@@ -38,11 +38,21 @@ fn rendered_as(
             ..MarchSettings::default()
         },
         ..StillSettings::default()
-    };
+    }
+}
+
+fn rendered_with(
+    document: &Value,
+    settings: &StillSettings,
+) -> (DeviceInventory, BTreeMap<&'static str, BTreeSet<String>>) {
+    let scene = Scene::from_json(document).expect("a valid document");
+    let noise = target_dir().expect("a folder").join("noise-of-tests");
+    let mut still =
+        StillRenderer::new(RenderConfig::new(noise), Arc::new(scene), &[]).expect("a device");
     let camera = Camera::new([0.0, 2.0, 0.0], 0.0, 30.0, 60.0).expect("a camera");
     let size = FrameSize::new(32, 16).expect("a size");
     still
-        .render_with(camera, size, &settings, |_| {})
+        .render_with(camera, size, settings, |_| {})
         .expect("a picture");
     (still.inventory(), still.reads().expect("kernels compose"))
 }
@@ -100,6 +110,40 @@ fn a_cached_picture_has_no_marched_pixels_and_the_other_way_round() {
     assert!(passes(&inventory, "cache") == 0 && passes(&inventory, "screen-space") > 0);
     assert!(inventory.has("marched pixels"), "{inventory:?}");
     assert!(atlas_bytes(&inventory) < 4096, "{inventory:?}");
+}
+
+#[test]
+fn a_second_eye_takes_two_views_and_half_of_a_picture_more_and_no_pass_and_no_pipeline() {
+    let document = json!({"version": 1});
+    for kind in [RendererKind::Cached, RendererKind::ScreenSpace] {
+        let [one, two] = [None, Stereo::new(0.064).ok()].map(|stereo| {
+            let settings = StillSettings {
+                stereo,
+                ..settings(kind, Show::Picture)
+            };
+            rendered_with(&document, &settings).0
+        });
+        assert_eq!(one.pipelines, two.pipelines, "{kind:?}");
+        for name in ["composite", "cache", "fade", "inspection"] {
+            let [a, b] = [&one, &two].map(|inventory| passes(inventory, name));
+            // A pair of people's eyes may need a tile more at a rim.
+            assert!(a == b || name == "cache", "{kind:?}, {name}: {a} and {b}");
+        }
+        let count = |inventory: &DeviceInventory, label: &str| {
+            inventory
+                .resources
+                .get(label)
+                .map_or(0, |stats| stats.count)
+        };
+        // For sky and ground of each eye.
+        for (label, of_one, of_two) in [("view", 2, 4), ("picture", 1, 1)] {
+            let found = [&one, &two].map(|inventory| count(inventory, label));
+            assert_eq!(found, [of_one, of_two], "{kind:?}, {label}");
+        }
+        let marched = u64::from(kind == RendererKind::ScreenSpace);
+        let found = [&one, &two].map(|inventory| count(inventory, "marched pixels"));
+        assert_eq!(found, [marched, 2 * marched], "{kind:?}");
+    }
 }
 
 #[test]

@@ -8,7 +8,7 @@ use skycell_client::ServerAddress;
 use skycell_client::load::{self, LoadOptions, LoadReport, SoakOptions, ViewerRing};
 use skycell_protocol::FrameSize;
 
-use super::{QualityArgument, asked_to_stop, print_line, progress_bar};
+use super::{QualityArgument, asked_to_stop, print_line, progress_bar, size_and_eyes};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -99,6 +99,9 @@ pub(crate) struct Arguments {
     /// Updates until a texel has converged, if the server does not tell.
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
     samples: u32,
+    /// Viewers have two eyes so far apart, metres; width and height are those of one eye.
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    stereo: Option<f64>,
     /// How good pictures are to be; without it what the scene or the server says.
     #[arg(long, value_enum)]
     quality: Option<QualityArgument>,
@@ -202,7 +205,7 @@ fn save(file: &Path, report: &LoadReport) -> anyhow::Result<()> {
 }
 
 fn options(arguments: &Arguments) -> anyhow::Result<LoadOptions> {
-    let size = FrameSize::new(arguments.width, arguments.height)?;
+    let (size, stereo) = size_and_eyes(arguments.width, arguments.height, arguments.stereo)?;
     let &[x_m, altitude_m, z_m] = arguments.position_m.as_slice() else {
         anyhow::bail!(
             "--position-m has {} numbers; allowed: 3",
@@ -241,6 +244,7 @@ fn options(arguments: &Arguments) -> anyhow::Result<LoadOptions> {
             .map(|percent| percent / 100.0)
             .collect(),
         size,
+        stereo,
         fps: arguments.fps,
         converge_timeout: Duration::from_secs_f64(arguments.converge_timeout_s),
         turn_duration: Duration::from_secs_f64(arguments.seconds),

@@ -11,7 +11,7 @@ use std::path::Path;
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
-use skycell_protocol::QualityPreset;
+use skycell_protocol::{FrameSize, QualityPreset, Stereo};
 
 /// A camera path or a merge patch is no longer than this.
 const INPUT_MAX_BYTES: u64 = 8 << 20;
@@ -38,6 +38,19 @@ impl QualityArgument {
             Self::Reference => QualityPreset::Reference,
         }
     }
+}
+
+/// The size and the eyes that `--width`, `--height` and `--stereo` say.
+fn size_and_eyes(
+    width: u32,
+    height: u32,
+    eye_distance_m: Option<f64>,
+) -> anyhow::Result<(FrameSize, Option<Stereo>)> {
+    let stereo = eye_distance_m
+        .map(Stereo::new)
+        .transpose()
+        .context("--stereo")?;
+    Ok((FrameSize::new(width, height)?.for_eyes(stereo)?, stereo))
 }
 
 /// A bar on stderr; nothing where stderr is no terminal.

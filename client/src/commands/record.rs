@@ -8,13 +8,14 @@ use clap::ValueEnum;
 use skycell_client::ServerAddress;
 use skycell_client::camera_path::CameraPath;
 use skycell_client::record::{RECORDING_FRAMES_MAX, RecordOptions, record};
-use skycell_protocol::{Camera, Codec, FrameSize};
+use skycell_protocol::{Camera, Codec};
 
-use super::{QualityArgument, print_line, progress_bar, read_json_file};
+use super::{QualityArgument, print_line, progress_bar, read_json_file, size_and_eyes};
 
 const EXAMPLES: &str = "\
 Examples:
   skycell record --url ws://127.0.0.1:8080/ws --out out/turn --frames 48
+  skycell record --url ws://127.0.0.1:8080/ws --out out/pair --frames 48 --stereo 0.064
   skycell record --url ws://127.0.0.1:8080/ws --out out/flight --path flight.json --fps 30
 
 A camera path is a JSON list of keys in order of time; between two keys every number goes in a
@@ -52,6 +53,9 @@ pub(crate) struct Arguments {
     /// How pictures travel; files are PNG either way.
     #[arg(long, value_enum, default_value = "png")]
     codec: CodecArgument,
+    /// Pictures of two eyes so far apart, metres, side by side in one file; width and height are those of one eye.
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    stereo: Option<f64>,
     /// How good pictures are to be; without it what the scene or the server says.
     #[arg(long, value_enum)]
     quality: Option<QualityArgument>,
@@ -105,7 +109,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 }
 
 fn options(arguments: Arguments) -> anyhow::Result<RecordOptions> {
-    let size = FrameSize::new(arguments.width, arguments.height)?;
+    let (size, stereo) = size_and_eyes(arguments.width, arguments.height, arguments.stereo)?;
     anyhow::ensure!(
         (1.0..=120.0).contains(&arguments.fps),
         "--fps is {}; allowed: 1 to 120",
@@ -145,6 +149,7 @@ fn options(arguments: Arguments) -> anyhow::Result<RecordOptions> {
         frames,
         fps: arguments.fps,
         size,
+        stereo,
         codec: match arguments.codec {
             CodecArgument::Jpeg => Codec::Jpeg,
             CodecArgument::Png => Codec::Png,

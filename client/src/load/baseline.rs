@@ -35,6 +35,7 @@ pub(super) async fn measure(
         let hello = Hello {
             renderer: RendererKind::ScreenSpace,
             quality: options.quality.map(QualityChoice::Preset),
+            stereo: options.stereo,
             ..Hello::new(options.size, options.fps, camera)
         };
         one_frame(address, hello)
@@ -45,7 +46,8 @@ pub(super) async fn measure(
             })?;
     }
     let after = wait_until_empty(api).await?.stats.totals;
-    let marches_once = u64::from(views) * u64::from(options.size.pixels());
+    let eyes = if options.stereo.is_some() { 2 } else { 1 };
+    let marches_once = u64::from(views) * eyes * u64::from(options.size.pixels());
     Ok(figures(views, marches_once, after.since(&before)))
 }
 

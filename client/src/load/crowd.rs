@@ -44,6 +44,7 @@ impl Crowd {
             let camera = options.ring.camera(number, overlap, 0.0);
             let hello = Hello {
                 quality: options.quality.map(QualityChoice::Preset),
+                stereo: options.stereo,
                 ..Hello::new(options.size, options.fps, camera)
             };
             let (joined, has_joined) = oneshot::channel();

@@ -24,7 +24,7 @@ use std::future::Future;
 use std::time::Duration;
 
 use indicatif::ProgressBar;
-use skycell_protocol::{FrameSize, QualityPreset};
+use skycell_protocol::{FrameSize, QualityPreset, Stereo};
 use thiserror::Error;
 
 pub use self::report::LoadReport;
@@ -47,8 +47,10 @@ pub struct LoadOptions {
     pub ring: ViewerRing,
     /// Overlaps of neighbours, 0 to 1 each.
     pub overlaps: Vec<f64>,
-    /// Size of every viewer's frames.
+    /// Size of every viewer's frames, or of each of two eyes' pictures in them.
     pub size: FrameSize,
+    /// Every viewer has two eyes.
+    pub stereo: Option<Stereo>,
     /// Frames per second that every viewer wishes.
     pub fps: f64,
     /// How long to wait for a converged sky.
@@ -146,6 +148,7 @@ async fn measure(
         viewers: options.ring.viewers(),
         width: options.size.width(),
         height: options.size.height(),
+        stereo: options.stereo,
         fps: options.fps,
         position_m: options.ring.position_m(),
         pitch_deg: options.ring.pitch_deg(),

@@ -1,6 +1,7 @@
 //! What a load test found, and how far it is from the ideal: cost proportional to unique texels.
 
 use serde::Serialize;
+use skycell_protocol::Stereo;
 
 use super::viewer::{TimesMs, ViewerFigures};
 use crate::server_stats::AdapterStats;
@@ -22,10 +23,12 @@ pub struct LoadReport {
     pub wind_off: bool,
     /// Viewers at one place.
     pub viewers: u32,
-    /// Pixels in a row.
+    /// Pixels in a row of an eye's picture.
     pub width: u32,
     /// Rows.
     pub height: u32,
+    /// Every viewer has two eyes; null for one.
+    pub stereo: Option<Stereo>,
     /// Frames per second that each viewer wished.
     pub fps: f64,
     /// Where all stood: x, altitude, z.
@@ -239,6 +242,7 @@ pub(super) mod tests {
             viewers: 16,
             width: 640,
             height: 360,
+            stereo: None,
             fps: 30.0,
             position_m: [0.0, 2.0, 0.0],
             pitch_deg: 12.0,

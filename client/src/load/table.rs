@@ -131,12 +131,16 @@ pub fn table(report: &LoadReport) -> String {
 
 fn heading(report: &LoadReport) -> String {
     format!(
-        "{} viewers of {}x{}, {:.2}° across, {:.0}° up, {} samples per texel{}, on {}\n\
+        "{} viewers of {}x{}{}, {:.2}° across, {:.0}° up, {} samples per texel{}, on {}\n\
          ideal: updated = unique × samples; ms ratio = cache ms against those of the smallest \
          overlap, ideal: as the unique texels\n\n",
         report.viewers,
         report.width,
         report.height,
+        report.stereo.map_or(String::new(), |stereo| format!(
+            " for each of two eyes {} m apart",
+            stereo.eye_distance_m()
+        )),
         report.horizontal_fov_deg,
         report.pitch_deg,
         report.samples_per_texel,

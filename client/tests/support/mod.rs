@@ -25,7 +25,7 @@ use skycell_protocol::message::{
     ClientMessage, ErrorCode, ErrorMessage, Hello, ServerMessage, Welcome,
 };
 use skycell_protocol::{
-    Camera, CellId, Codec, FrameSequence, InputSequence, PROTOCOL_VERSION, RendererKind,
+    Camera, CellId, Codec, FrameSequence, FrameSize, InputSequence, PROTOCOL_VERSION, RendererKind,
     SUBPROTOCOL, ViewerId,
 };
 
@@ -128,8 +128,16 @@ pub(crate) fn color_of(camera: &Camera) -> Rgb<u8> {
     Rgb([camera.yaw_deg().rem_euclid(256.0) as u8, 100, 200])
 }
 
+fn picture_size(hello: &Hello) -> FrameSize {
+    match hello.stereo {
+        Some(_) => hello.size.pair(),
+        None => hello.size,
+    }
+}
+
 fn picture(hello: &Hello, camera: &Camera) -> Vec<u8> {
-    let pixels = RgbImage::from_pixel(hello.size.width(), hello.size.height(), color_of(camera));
+    let size = picture_size(hello);
+    let pixels = RgbImage::from_pixel(size.width(), size.height(), color_of(camera));
     let format = match hello.codec {
         Codec::Jpeg => ImageFormat::Jpeg,
         Codec::Png => ImageFormat::Png,
@@ -269,8 +277,9 @@ impl Frames {
             codec: self.hello.codec.into(),
             heartbeat: false,
             coarse,
+            stereo: self.hello.stereo.is_some(),
             sequence: FrameSequence(self.sequence),
-            width: self.hello.size.width() as u16,
+            width: picture_size(&self.hello).width() as u16,
             height: self.hello.size.height() as u16,
             scene_revision: 1,
             input,

@@ -8,6 +8,7 @@ test("every field is read from its own place", () => {
     codec: "jpeg",
     heartbeat: false,
     coarse: false,
+    stereo: false,
     sequence: 70_000,
     width: 640,
     height: 360,
@@ -28,6 +29,8 @@ test("flags are told apart", () => {
   assert.deepEqual([heartbeat.heartbeat, heartbeat.coarse, heartbeat.codec], [true, false, "none"]);
   const coarse = parseFrameHeader(frameBytes({ codec: 2, flags: 2 }));
   assert.deepEqual([coarse.heartbeat, coarse.coarse, coarse.codec], [false, true, "png"]);
+  const stereo = parseFrameHeader(frameBytes({ flags: 4 }));
+  assert.deepEqual([stereo.heartbeat, stereo.coarse, stereo.stereo], [false, false, true]);
 });
 
 test("bad frames are refused with a reason", () => {

@@ -29,6 +29,14 @@ test("the server's limits hold, with the aspect kept", () => {
   assert.deepEqual(pictureSize("640x360", stage, small), { width: 640, height: 360 });
 });
 
+test("two eyes share the stage, the pixels and the server's limit", () => {
+  assert.deepEqual(pictureSize("fit", stage, gpu, 2), { width: 960, height: 1080 });
+  const { width, height } = pictureSize("auto", stage, software, 2);
+  assert.ok(2 * width * height < 960 * 540 * 1.01 && 2 * width * height > 960 * 540 * 0.97, `${width} × ${height}`);
+  assert.deepEqual(pictureSize("640x360", stage, gpu, 2), { width: 640, height: 360 });
+  assert.deepEqual(pictureSize("3840x2160", stage, gpu, 2), { width: 1920, height: 1080 });
+});
+
 test("a stage without extent still asks for a lawful picture", () => {
   const { width, height } = pictureSize("auto", { width: 0, height: 0 }, software);
   assert.ok(width >= 1 && height >= 1, `${width} × ${height}`);

@@ -9,7 +9,7 @@ use crate::read_json::{ObjectReader, nearest_name};
 use crate::view::FRAMES_PER_SECOND;
 use crate::{
     Camera, Codec, FrameSequence, FrameSize, InputSequence, JpegQuality, PROTOCOL_VERSION,
-    QualityChoice, RendererKind, Show, ValueError,
+    QualityChoice, RendererKind, Show, Stereo, ValueError,
 };
 
 /// A message from a client, in range throughout.
@@ -31,7 +31,7 @@ pub enum ClientMessage {
 pub struct Hello {
     /// The version that the client speaks.
     pub protocol: u32,
-    /// Width and height of frames; `width` and `height` on the wire.
+    /// Width and height of frames, or of each of two eyes' pictures in one; `width` and `height` on the wire.
     #[serde(flatten)]
     pub size: FrameSize,
     /// The most frames a second that the client wants.
@@ -49,6 +49,9 @@ pub struct Hello {
     pub quality: Option<QualityChoice>,
     /// What frames show.
     pub show: Show,
+    /// Frames hold the pictures of two eyes side by side.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stereo: Option<Stereo>,
 }
 
 impl Hello {
@@ -64,6 +67,7 @@ impl Hello {
             renderer: RendererKind::default(),
             quality: None,
             show: Show::default(),
+            stereo: None,
         }
     }
 }
@@ -80,7 +84,7 @@ pub struct CameraInput {
 /// A change of wishes; what is not named stays.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ViewChange {
-    /// New width of frames.
+    /// New width of frames, or of each of two eyes' pictures.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub width: Option<u32>,
     /// New height of frames.
@@ -101,18 +105,28 @@ pub struct ViewChange {
     /// What frames are to show now.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub show: Option<Show>,
+    /// Two eyes, or null for one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stereo: Option<Option<Stereo>>,
 }
 
 impl ViewChange {
-    /// The size after this change of `size`.
+    /// The size after this change of `size`, and the eyes after it.
     ///
     /// # Errors
-    /// Names the number that is out of range; a change that was read from JSON has none.
-    pub fn size_after(&self, size: FrameSize) -> Result<FrameSize, ValueError> {
-        FrameSize::new(
+    /// Names the number that is out of range; in a change that was read from JSON only a width that is too large for two eyes
+    /// can be.
+    pub fn size_after(
+        &self,
+        size: FrameSize,
+        stereo: Option<Stereo>,
+    ) -> Result<(FrameSize, Option<Stereo>), ValueError> {
+        let stereo = self.stereo.unwrap_or(stereo);
+        let size = FrameSize::new(
             self.width.unwrap_or(size.width()),
             self.height.unwrap_or(size.height()),
-        )
+        )?;
+        Ok((size.for_eyes(stereo)?, stereo))
     }
 }
 
@@ -236,13 +250,16 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         "renderer",
         "quality",
         "show",
+        "stereo",
     ])?;
+    let stereo = members.member_or("stereo", None)?;
     Ok(Hello {
         protocol,
         size: FrameSize::new(
             members.required("width", "a whole number of pixels")?,
             members.required("height", "a whole number of pixels")?,
-        )?,
+        )?
+        .for_eyes(stereo)?,
         fps: FRAMES_PER_SECOND.check(
             "/fps",
             members.required("fps", &FRAMES_PER_SECOND.to_string())?,
@@ -253,6 +270,7 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         renderer: members.member_or("renderer", RendererKind::default())?,
         quality: members.member_or("quality", None)?,
         show: members.member_or("show", Show::default())?,
+        stereo,
     })
 }
 
@@ -281,6 +299,7 @@ fn read_view_change(members: &ObjectReader<'_>) -> Result<ViewChange, ValueError
         "jpeg_quality",
         "quality",
         "show",
+        "stereo",
     ])?;
     let change = ViewChange {
         width: members.optional("width")?,
@@ -293,9 +312,10 @@ fn read_view_change(members: &ObjectReader<'_>) -> Result<ViewChange, ValueError
         jpeg_quality: read_jpeg_quality(members)?,
         quality: members.optional("quality")?,
         show: members.optional("show")?,
+        stereo: members.optional("stereo")?,
     };
     // Whatever the other side is, each named side must be in range.
-    change.size_after(FrameSize::new(1, 1)?)?;
+    change.size_after(FrameSize::new(1, 1)?, None)?;
     Ok(change)
 }
 
@@ -387,6 +407,16 @@ mod tests {
             ),
             (r#"{"type":"view","fps":1e999}"#, ErrorCode::BadJson, None),
             (
+                r#"{"type":"view","stereo":{"eye_distance_m":-1}}"#,
+                ErrorCode::BadValue,
+                Some("/stereo/eye_distance_m"),
+            ),
+            (
+                r#"{"type":"view","width":2000,"stereo":{"eye_distance_m":0.064}}"#,
+                ErrorCode::BadValue,
+                Some("/width"),
+            ),
+            (
                 r#"{"type":"view","fsp":10}"#,
                 ErrorCode::BadValue,
                 Some("/fsp"),
@@ -421,6 +451,12 @@ mod tests {
             ("renderer", json!("raster"), "/renderer"),
             ("quality", json!({"budget_ms": 0}), "/quality/budget_ms"),
             ("heigth", json!(360), "/heigth"),
+            ("stereo", json!(0.064), "/stereo"),
+            (
+                "stereo",
+                json!({"eye_distance_m": 101}),
+                "/stereo/eye_distance_m",
+            ),
         ] {
             assert_eq!(
                 hello_with(key, value).to_message().pointer.as_deref(),
@@ -444,6 +480,7 @@ mod tests {
             input in any::<u64>(), sequence in any::<u32>(), decode_us in any::<Option<u32>>(),
             present_us in any::<Option<u64>>(), some in any::<[bool; 5]>(),
             max_error in proptest::option::of(proptest::option::of(0.001..=1.0f64)),
+            eyes in proptest::option::of(proptest::option::of(0.0..=100.0f64)),
         ) {
             let camera = Camera::new([1.0, 2.0, 3.0], yaw_deg, 5.0, 60.0).expect("in range");
             let codec = if png { Codec::Png } else { Codec::Jpeg };
@@ -452,9 +489,11 @@ mod tests {
             let show = if png { Show::Density } else { Show::Picture };
             let size = FrameSize::new(width, height).expect("in range");
             let quality = max_error.map(|choice| choice.map(QualityChoice::MaxError));
+            let stereo = eyes.map(|pair| pair.and_then(|distance_m| Stereo::new(distance_m).ok()));
+            prop_assume!(width <= 1920 || eyes.is_none());
             let messages = [
                 ClientMessage::Hello(Hello {
-                    codec, jpeg_quality, renderer, quality: quality.flatten(), show, ..Hello::new(size, fps, camera)
+                    codec, jpeg_quality, renderer, quality: quality.flatten(), show, stereo: stereo.flatten(), ..Hello::new(size, fps, camera)
                 }),
                 ClientMessage::Camera(CameraInput { input: InputSequence(input), camera }),
                 ClientMessage::View(ViewChange {
@@ -465,6 +504,7 @@ mod tests {
                     jpeg_quality: some[4].then_some(jpeg_quality),
                     quality,
                     show: some[0].then_some(show),
+                    stereo,
                 }),
                 ClientMessage::Ack(Acknowledgement {
                     sequence: FrameSequence(sequence), decode_us, present_us,

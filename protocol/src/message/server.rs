@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{CellId, RendererKind, ViewerId};
+use crate::{CellId, RendererKind, Stereo, ViewerId};
 
 /// A message from a server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -84,6 +84,9 @@ pub struct Status {
     /// What this client's cell has lost because the server's memory or time do not suffice; null where nothing is lost.
     #[serde(default)]
     pub loss_note: Option<String>,
+    /// The two eyes whose pictures this client's frames hold; null for one.
+    #[serde(default)]
+    pub stereo: Option<Stereo>,
 }
 
 /// What the server has picked for a client.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::State;
 use serde::Serialize;
-use skycell_protocol::{CellId, Codec, RendererKind, Show, ShowReport, ViewerId};
+use skycell_protocol::{CellId, Codec, RendererKind, Show, ShowReport, Stereo, ViewerId};
 
 use crate::frame_loop::interface::{CellStats, RenderStats};
 use crate::stream::StreamContext;
@@ -21,8 +21,11 @@ pub(super) struct ViewerReport {
     position_m: Option<[f64; 3]>,
     /// Where it looks, clockwise from north. Null until then.
     yaw_deg: Option<f64>,
+    /// Of one eye's picture.
     width: u32,
     height: u32,
+    /// Two eyes side by side in each frame; null for one.
+    stereo: Option<Stereo>,
     codec: Codec,
     jpeg_quality: u8,
     renderer: RendererKind,
@@ -132,6 +135,7 @@ fn report_of(viewer: &Viewer, stats: &RenderStats) -> ViewerReport {
         yaw_deg: rendered.map(|known| known.yaw_deg),
         width: view.size.width(),
         height: view.size.height(),
+        stereo: view.stereo,
         codec: view.codec,
         jpeg_quality: view.jpeg_quality,
         renderer: view.renderer,

@@ -16,7 +16,8 @@ pub use budget::{
 };
 pub use pool::{Slot, SlotPool};
 pub use requests::{
-    Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, requested_tiles, seen_blocks,
+    Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, requested_by_eyes, requested_tiles,
+    seen_blocks,
 };
 pub use sphere::{AgeingRates, LAG_RAD, NO_TILE, PageTables, SphereCache, Want};
 

@@ -3,6 +3,7 @@
 use super::address::{GUTTER, LEVELS, TILE_INTERIOR, TILE_STRIDE, TileKey, texel_solid_angle_sr};
 use crate::march::{CellFrame, Surface};
 use glam::{DVec2, DVec3};
+use std::collections::BTreeMap;
 
 /// A texel may look this much wider than the pixel that shows it before the next level is asked for. At 0.8 a picture of
 /// 16:9 at 60° needs one level almost everywhere, so that viewers who look at the same clouds with different parts of
@@ -353,6 +354,33 @@ pub fn seen_blocks(view: &ViewFrustum, sphere: &ProxySphere, tile: TileKey) -> u
         seen |= u64::from(may_be_seen(&part, &planes, &visible)) << (BLOCKS * y + x);
     }
     seen
+}
+
+/// The tiles that several eyes of one viewer need of a sphere, each once, as near to the middle of a picture as the eye that
+/// sees it nearest there has it. A tile of one eye may cover a finer one of another.
+#[must_use]
+pub fn requested_by_eyes(of_eyes: impl IntoIterator<Item = Vec<TileRequest>>) -> Vec<TileRequest> {
+    let mut of_eyes = of_eyes.into_iter();
+    let mut all = of_eyes.next().unwrap_or_default();
+    for of_eye in of_eyes {
+        let places: BTreeMap<TileKey, usize> = all
+            .iter()
+            .enumerate()
+            .map(|(place, request)| (request.key, place))
+            .collect();
+        for request in of_eye {
+            match places.get(&request.key) {
+                Some(place) => {
+                    let known = &mut all[*place];
+                    known.eccentricity_rad = known.eccentricity_rad.min(request.eccentricity_rad);
+                    known.distance_m = known.distance_m.min(request.distance_m);
+                    known.screen_share = known.screen_share.max(request.screen_share);
+                }
+                None => all.push(request),
+            }
+        }
+    }
+    all
 }
 
 /// The tiles of the coarsest level that can be seen from a point in any direction.

@@ -31,7 +31,8 @@ impl PictureFade {
     /// A second picture beside `picture`, which is to hold the new cell's and then the mix.
     #[must_use]
     pub fn new(gpu: &Gpu, pipelines: &Pipelines, picture: &Picture) -> Self {
-        let old = Picture::new(gpu, pipelines, picture.size(), false);
+        let (eye_size, eyes) = picture.eyes();
+        let old = Picture::of_eyes(gpu, pipelines, eye_size, eyes, false);
         let uniform = gpu.uniform_buffer("fade", size_of::<layout::Fade>());
         let buffers = [&uniform, old.pixels(), picture.pixels()];
         Self {
@@ -67,12 +68,14 @@ impl PictureFade {
         let Some(pipeline) = pipelines.get(fade_key()) else {
             return;
         };
-        let size = self.old.size();
+        let (eye_size, eyes) = self.old.eyes();
+        let (width, height) = (eye_size.width() * eyes as u32, eye_size.height());
         let fade = layout::Fade {
             share: share.clamp(0.0, 1.0) as f32,
-            width: size.width(),
-            height: size.height(),
+            width,
+            height,
             dither_shift,
+            eye_width: eye_size.width(),
         };
         gpu.queue
             .write_buffer(&self.uniform, 0, bytemuck::bytes_of(&fade));
@@ -85,10 +88,6 @@ impl PictureFade {
         for group in 1..4 {
             pass.set_bind_group(group, &pipelines.empty_group, &[]);
         }
-        pass.dispatch_workgroups(
-            size.width().div_ceil(GROUP_WIDTH),
-            size.height().div_ceil(GROUP_ROWS),
-            1,
-        );
+        pass.dispatch_workgroups(width.div_ceil(GROUP_WIDTH), height.div_ceil(GROUP_ROWS), 1);
     }
 }

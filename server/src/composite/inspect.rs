@@ -111,14 +111,14 @@ pub struct InspectionInputs<'a> {
 }
 
 impl Picture {
-    /// Records an inspection: one dispatch per layer. The key of `inputs` is not looked at.
+    /// Records an inspection: one dispatch per layer and eye. The keys of `eyes` are not looked at.
     pub fn record_inspection(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         timing: &mut TimingRing,
         pipelines: &Pipelines,
-        inputs: &CompositeInputs<'_>,
+        eyes: &[CompositeInputs<'_>],
         inspection: &InspectionInputs<'_>,
     ) {
         let groups = &inspection.inspections.groups;
@@ -126,31 +126,33 @@ impl Picture {
         let made: Vec<&wgpu::ComputePipeline> =
             keys.filter_map(|key| pipelines.get(*key)).collect();
         if made.len() != groups.len() || made.is_empty() {
-            let black = [0, 0, 0, u8::MAX].repeat(self.size.pixels() as usize);
+            let black = [0, 0, 0, u8::MAX].repeat(self.pixels.size() as usize / 4);
             gpu.queue.write_buffer(&self.pixels, 0, &black);
             return;
         }
-        let view = layout::View {
-            first_row: 0,
-            ..*inputs.view
-        };
-        gpu.queue
-            .write_buffer(&self.sky.view, 0, bytemuck::bytes_of(&view));
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
             label: Some("inspect"),
             timestamp_writes: timing.pass(TimedPass::Inspection, 1),
         });
-        pass.set_bind_group(0, inputs.scene, &[]);
         pass.set_bind_group(1, inspection.field, &[]);
-        pass.set_bind_group(3, &self.sky.group, &[]);
-        for (pipeline, group) in made.into_iter().zip(groups) {
-            pass.set_pipeline(pipeline);
-            pass.set_bind_group(2, group, &[]);
-            pass.dispatch_workgroups(
-                self.size.width().div_ceil(8),
-                self.size.height().div_ceil(8),
-                1,
-            );
+        for (eye, (parts, inputs)) in self.eyes.iter().zip(eyes).enumerate() {
+            let view = layout::View {
+                first_row: 0,
+                ..self.placed(eye, inputs.view)
+            };
+            gpu.queue
+                .write_buffer(&parts.sky.view, 0, bytemuck::bytes_of(&view));
+            pass.set_bind_group(0, inputs.scene, &[]);
+            pass.set_bind_group(3, &parts.sky.group, &[]);
+            for (pipeline, group) in made.iter().zip(groups) {
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(2, group, &[]);
+                pass.dispatch_workgroups(
+                    self.eye_size.width().div_ceil(8),
+                    self.eye_size.height().div_ceil(8),
+                    1,
+                );
+            }
         }
     }
 }

@@ -133,6 +133,7 @@ pub fn view_uniform(frustum: &ViewFrustum, frame: &CellFrame, size: FrameSize) -
         marched_width: size.width(),
         marched_height: size.height(),
         jitter: 1.0,
+        picture_width: size.width(),
         ..Default::default()
     }
 }
@@ -193,7 +194,7 @@ pub fn first_ground_row(view: &layout::View, planet_radius_m: f64) -> u32 {
         .unwrap_or(view.height)
 }
 
-/// What a composite reads.
+/// What a composite reads for one eye.
 #[derive(Clone, Copy, Debug)]
 pub struct CompositeInputs<'a> {
     /// Which specialisation.
@@ -204,7 +205,7 @@ pub struct CompositeInputs<'a> {
     pub air: Option<&'a wgpu::BindGroup>,
     /// Group 2: the cell's cache or the viewer's marched pixels.
     pub layers: &'a wgpu::BindGroup,
-    /// The viewer's camera.
+    /// The eye's camera.
     pub view: &'a layout::View,
     /// Radius of the ground, m, where there is one.
     pub ground_radius_m: Option<f64>,
@@ -214,11 +215,19 @@ pub struct CompositeInputs<'a> {
 #[derive(Debug)]
 pub struct Picture {
     pixels: wgpu::Buffer,
-    /// The whole picture, or the part of it in which there is sky.
+    /// One, or the left and the right one.
+    eyes: Vec<EyeParts>,
+    /// Of one eye's part.
+    eye_size: FrameSize,
+}
+
+/// What one eye sees.
+#[derive(Debug)]
+struct EyeParts {
+    /// The whole of it, or the part of it in which there is sky.
     sky: Part,
     /// Rows in which there is only ground.
     ground: Part,
-    size: FrameSize,
 }
 
 /// Rows of a picture that one dispatch shades.
@@ -262,7 +271,19 @@ impl Picture {
     /// A picture of bytes, or of linear radiance (16 bytes a pixel).
     #[must_use]
     pub fn new(gpu: &Gpu, pipelines: &Pipelines, size: FrameSize, linear: bool) -> Self {
-        Self::with_rays(gpu, pipelines, size, linear, None)
+        Self::of_eyes(gpu, pipelines, size, 1, linear)
+    }
+
+    /// A picture of so many eyes side by side, each of a size.
+    #[must_use]
+    pub fn of_eyes(
+        gpu: &Gpu,
+        pipelines: &Pipelines,
+        eye_size: FrameSize,
+        eyes: usize,
+        linear: bool,
+    ) -> Self {
+        Self::with_rays(gpu, pipelines, eye_size, eyes, linear, None)
     }
 
     /// A picture of listed rays, if there are any.
@@ -270,28 +291,44 @@ impl Picture {
     pub fn with_rays(
         gpu: &Gpu,
         pipelines: &Pipelines,
-        size: FrameSize,
+        eye_size: FrameSize,
+        eyes: usize,
         linear: bool,
         rays: Option<&wgpu::Buffer>,
     ) -> Self {
-        let bytes = u64::from(size.pixels()) * if linear { 16 } else { 4 };
+        let pixels = u64::from(eye_size.pixels()) * eyes as u64;
+        let bytes = pixels * if linear { 16 } else { 4 };
         // Where there is nothing to inspect, black is copied to it.
         let usage = wgpu::BufferUsages::STORAGE
             | wgpu::BufferUsages::COPY_SRC
             | wgpu::BufferUsages::COPY_DST;
         let pixels = gpu.buffer("picture", bytes, usage);
+        let part = || Part::new(gpu, pipelines, &pixels, rays);
+        let parts = |_| EyeParts {
+            sky: part(),
+            ground: part(),
+        };
         Self {
-            sky: Part::new(gpu, pipelines, &pixels, rays),
-            ground: Part::new(gpu, pipelines, &pixels, rays),
+            eyes: (0..eyes).map(parts).collect(),
             pixels,
-            size,
+            eye_size,
         }
     }
 
-    /// Size of the picture.
+    /// Size of one eye's part of the picture, and how many eyes it has.
     #[must_use]
-    pub fn size(&self) -> FrameSize {
-        self.size
+    pub fn eyes(&self) -> (FrameSize, usize) {
+        (self.eye_size, self.eyes.len())
+    }
+
+    /// Where an eye's part stands in the picture.
+    fn placed(&self, eye: usize, view: &layout::View) -> layout::View {
+        let width = self.eye_size.width();
+        layout::View {
+            picture_width: width * self.eyes.len() as u32,
+            first_column: width * eye as u32,
+            ..*view
+        }
     }
 
     /// The pixels on the device.
@@ -300,22 +337,40 @@ impl Picture {
         &self.pixels
     }
 
-    /// Records the composite.
+    /// Records the composite: one pass, in which each eye reads what is its own.
     pub fn record(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         timing: &mut TimingRing,
         pipelines: &Pipelines,
+        eyes: &[CompositeInputs<'_>],
+    ) {
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some("composite"),
+            timestamp_writes: timing.pass(TimedPass::Composite, 1),
+        });
+        for (eye, inputs) in eyes.iter().enumerate() {
+            self.record_eye(gpu, &mut pass, pipelines, eye, inputs);
+        }
+    }
+
+    fn record_eye(
+        &self,
+        gpu: &Gpu,
+        pass: &mut wgpu::ComputePass<'_>,
+        pipelines: &Pipelines,
+        eye: usize,
         inputs: &CompositeInputs<'_>,
     ) {
-        let (Some(pipeline), Some(ground_pipeline)) = (
+        let (Some(parts), Some(pipeline), Some(ground_pipeline)) = (
+            self.eyes.get(eye),
             pipelines.get(inputs.key),
             pipelines.get(ground_key(inputs.key)),
         ) else {
             return;
         };
-        let height = self.size.height();
+        let height = self.eye_size.height();
         // Listed rays have no rows that the horizon could lie between.
         let ground_row = match inputs.ground_radius_m {
             Some(radius_m) if !inputs.key.features.ray_list => {
@@ -323,30 +378,26 @@ impl Picture {
             }
             _ => height,
         };
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some("composite"),
-            timestamp_writes: timing.pass(TimedPass::Composite, 1),
-        });
         pass.set_bind_group(0, inputs.scene, &[]);
         pass.set_bind_group(1, inputs.air.unwrap_or(&pipelines.empty_group), &[]);
         pass.set_bind_group(2, inputs.layers, &[]);
         for (part, pipeline, rows) in [
-            (&self.sky, pipeline, 0..ground_row),
-            (&self.ground, ground_pipeline, ground_row..height),
+            (&parts.sky, pipeline, 0..ground_row),
+            (&parts.ground, ground_pipeline, ground_row..height),
         ] {
             if rows.is_empty() {
                 continue;
             }
             let view = layout::View {
                 first_row: rows.start,
-                ..*inputs.view
+                ..self.placed(eye, inputs.view)
             };
             gpu.queue
                 .write_buffer(&part.view, 0, bytemuck::bytes_of(&view));
             pass.set_pipeline(pipeline);
             pass.set_bind_group(3, &part.group, &[]);
             pass.dispatch_workgroups(
-                self.size.width().div_ceil(GROUP_WIDTH),
+                self.eye_size.width().div_ceil(GROUP_WIDTH),
                 (rows.end - rows.start).div_ceil(GROUP_ROWS),
                 1,
             );

@@ -118,6 +118,7 @@ fn encode(frame: FinishedFrame, metrics: &Metrics) -> Result<EncodedFrame, Encod
         codec: frame.codec.into(),
         heartbeat: false,
         coarse: frame.coarse,
+        stereo: frame.stereo,
         sequence: frame.sequence,
         // At most 3840 and 2160.
         width: frame.size.width() as u16,

@@ -64,6 +64,7 @@ impl Bench {
             renderer: RendererKind::Cached,
             quality: None,
             show: skycell_protocol::Show::Picture,
+            stereo: None,
         };
         self.registry.join(view).expect("room")
     }
@@ -83,6 +84,7 @@ impl Bench {
             scene_revision: 6,
             cell: CellId(7),
             size: size(),
+            stereo: false,
             codec: Codec::Png,
             jpeg_quality: 85,
             coarse: true,

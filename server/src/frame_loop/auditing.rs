@@ -310,6 +310,7 @@ mod tests {
                 renderer: RendererKind::Cached,
                 quality: None,
                 show: skycell_protocol::Show::Picture,
+                stereo: None,
             },
         );
         loop {

@@ -5,7 +5,7 @@ use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{
     Band, LAG_RAD, ProxySphere, SphereId, TileRequest, Wish, coarse_tiles, coarsened,
-    requested_tiles,
+    requested_by_eyes, requested_tiles,
 };
 use crate::composite::view_frustum;
 use crate::march::{
@@ -129,24 +129,24 @@ impl ActiveCell {
     }
 }
 
-/// Most places at which a viewer of a cell looks for what texels show: none where what it sees would not be told apart from
+/// Most places at which an eye of a viewer of a cell looks for what texels show: none where what it sees would not be told apart from
 /// what the reference sees.
 pub(super) fn parallax_steps(
     scene: &Scene,
     active: &[ActiveLayer],
     domes: bool,
     viewer: &ActiveViewer,
-    camera: &Camera,
+    eye: &Camera,
     cell: &ActiveCell,
 ) -> u32 {
     let reference_m = cell.reference_m;
-    let eye_m = DVec3::from_array(camera.position_m());
+    let eye_m = DVec3::from_array(eye.position_m());
     // A dome keeps what was marched from about its anchor while the reference goes on.
     let anchor_m = cell.anchors.first().filter(|_| domes);
     let away_m = anchor_m
         .map_or(0.0, |anchor| anchor.at_start_m.distance(eye_m))
         .max(reference_m.distance(eye_m));
-    let pixel_rad = 2.0 * (camera.vertical_fov_deg().to_radians() / 2.0).tan()
+    let pixel_rad = 2.0 * (eye.vertical_fov_deg().to_radians() / 2.0).tan()
         / f64::from(viewer.view.size.height());
     let is_seen = active.iter().any(|layer| {
         let layer = &scene.layers()[layer.scene_index];
@@ -495,11 +495,16 @@ impl SkyRenderer {
             }
             let mut read: Vec<&[Vec<TileRequest>]> = Vec::new();
             for viewer in self.viewers.values_mut() {
-                let (camera, size) = (viewer.view.camera, viewer.view.size);
+                let size = viewer.view.size;
                 let mip_bias = viewer.quality.settings.mip_bias;
                 let domes = self.kept_on.has_domes();
-                let (scene, active) = (&self.scene, &self.active);
-                let steps = parallax_steps(scene, active, domes, viewer, &camera, cell);
+                // Each eye, and whether it searches.
+                let steps = |eye: &Camera| {
+                    parallax_steps(&self.scene, &self.active, domes, viewer, eye, cell)
+                };
+                let eyes = viewer.view.eyes();
+                let eyes: Vec<(Camera, bool)> =
+                    eyes.iter().map(|eye| (*eye, steps(eye) > 0)).collect();
                 // Who has jumped is shown what is there until the new cell has more.
                 let has_jumped = viewer.has_jumped_from(id);
                 let Some(requests) = viewer.requests_in(id) else {
@@ -508,7 +513,6 @@ impl SkyRenderer {
                 if has_jumped {
                     *requests = vec![Vec::new(); spheres.len()];
                 } else if moved || requests.len() != spheres.len() {
-                    let frustum = view_frustum(&camera, size, &cell.frame);
                     *requests = spheres
                         .iter()
                         .zip(&self.proxies)
@@ -517,11 +521,14 @@ impl SkyRenderer {
                             if !holds {
                                 return Vec::new();
                             }
-                            let sphere = ProxySphere {
-                                seen_between_m: (steps > 0).then_some(proxy.seen_between_m),
-                                ..*sphere
-                            };
-                            requested_tiles(&frustum, &sphere, mip_bias)
+                            requested_by_eyes(eyes.iter().map(|(eye, searches)| {
+                                let sphere = ProxySphere {
+                                    seen_between_m: searches.then_some(proxy.seen_between_m),
+                                    ..*sphere
+                                };
+                                let frustum = view_frustum(eye, size, &cell.frame);
+                                requested_tiles(&frustum, &sphere, mip_bias)
+                            }))
                         })
                         .collect();
                 }

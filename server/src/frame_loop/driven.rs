@@ -56,6 +56,7 @@ pub(super) fn view(size: [u32; 2], camera: Camera) -> ViewRequest {
         renderer: RendererKind::Cached,
         quality: None,
         show: Show::Picture,
+        stereo: None,
     }
 }
 

@@ -17,7 +17,7 @@ use crate::quality::QualitySettings;
 use serde::Serialize;
 use skycell_protocol::{
     Camera, CellId, Codec, FrameSequence, FrameSize, InputSequence, QualityChoice, RendererKind,
-    Scene, Show, ViewerId,
+    Scene, Show, Stereo, ViewerId,
 };
 use thiserror::Error;
 
@@ -33,7 +33,7 @@ pub const RENDER_COMMANDS_MAX: usize = 16_384;
 /// What a viewer wants to be rendered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ViewRequest {
-    /// Width and height of frames.
+    /// Width and height of frames, or of each eye's part of them.
     pub size: FrameSize,
     /// The most frames a second that the viewer wants, 1 to 120.
     pub fps: f64,
@@ -49,6 +49,34 @@ pub struct ViewRequest {
     pub quality: Option<QualityChoice>,
     /// What frames show.
     pub show: Show,
+    /// Two eyes around the camera instead of one at its place.
+    pub stereo: Option<Stereo>,
+}
+
+impl ViewRequest {
+    /// Cameras of its eyes: its own, or the left and the right one.
+    #[must_use]
+    pub fn eyes(&self) -> Vec<Camera> {
+        self.eyes_about(&self.camera)
+    }
+
+    /// Cameras of its eyes if it were elsewhere.
+    #[must_use]
+    pub fn eyes_about(&self, camera: &Camera) -> Vec<Camera> {
+        match self.stereo {
+            None => vec![*camera],
+            Some(stereo) => stereo.eyes(camera).to_vec(),
+        }
+    }
+
+    /// Size of its frames: two eyes are side by side.
+    #[must_use]
+    pub fn picture_size(&self) -> FrameSize {
+        match self.stereo {
+            None => self.size,
+            Some(_) => self.size.pair(),
+        }
+    }
 }
 
 /// A message to the frame loop.
@@ -119,8 +147,10 @@ pub struct FinishedFrame {
     pub scene_revision: u64,
     /// The view cell that it was composited from.
     pub cell: CellId,
-    /// Its size.
+    /// Its size, of both eyes together where there are two.
     pub size: FrameSize,
+    /// It holds the pictures of two eyes side by side.
+    pub stereo: bool,
     /// How it is to be compressed.
     pub codec: Codec,
     /// Quality, if it is to be a JPEG, 1 to 100.

@@ -490,6 +490,7 @@ mod tests {
                 renderer: RendererKind::Cached,
                 quality: None,
                 show: Show::Picture,
+                stereo: None,
             },
         );
         renderer.refresh_cells();

@@ -252,7 +252,7 @@ impl SkyRenderer {
         let Some(buffer) = meter.ring.take(&self.gpu) else {
             return;
         };
-        let size = meter.picture.size();
+        let (size, _) = meter.picture.eyes();
         let frustum = view_frustum(&camera, size, &cell.frame);
         let mut view = view_uniform(&frustum, &cell.frame, size);
         let tables = view.tables.iter_mut().take(self.proxies.len());
@@ -283,14 +283,14 @@ impl SkyRenderer {
             &mut encoder,
             &mut self.timing,
             &self.pipelines,
-            &CompositeInputs {
+            &[CompositeInputs {
                 key,
                 scene: &cell.buffers.scene_group,
                 air: air.as_ref(),
                 layers: &layers,
                 view: &view,
                 ground_radius_m: None,
-            },
+            }],
         );
         encoder.copy_buffer_to_buffer(meter.picture.pixels(), 0, &buffer, 0, buffer.size());
         self.timing.resolve(&mut encoder);

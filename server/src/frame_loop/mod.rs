@@ -8,6 +8,7 @@ mod cells_on_device;
 mod domes_on_device;
 #[cfg(test)]
 mod driven;
+mod eyes;
 pub mod interface;
 mod light_shafts;
 mod metering;

@@ -1,12 +1,13 @@
 //! What is submitted to the device: batches of texels, strips of pixels, frames and their way back.
 
+use super::eyes::EyesPicture;
 use super::interface::{FinishedFrame, FrameSink};
 use super::renderer::{SkyRenderer, frame_key};
 use super::transitions::Stage;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{SphereId, TileRequest, TileUpdate};
 use crate::clock::unix_now_us;
-use crate::composite::{CompositeInputs, Picture, PictureFade, dither_shift, shown_key};
+use crate::composite::{Picture, PictureFade, dither_shift, shown_key};
 use crate::gpu::{GpuError, PipelineKey, TimedPass};
 use crate::march::{
     ActiveLayer, BATCH_TILES_MAX, MarchedPixels, PixelStrip, TexelGroup, layer_features,
@@ -209,7 +210,8 @@ impl SkyRenderer {
                     input,
                     scene_revision,
                     cell,
-                    size: view.size,
+                    size: view.picture_size(),
+                    stereo: view.stereo.is_some(),
                     codec: view.codec,
                     jpeg_quality: view.jpeg_quality,
                     coarse,
@@ -289,81 +291,37 @@ impl SkyRenderer {
         picture: &Picture,
         shown: Shown,
     ) -> Option<()> {
-        let view = self.view_in(viewer, id, requests)?;
-        let shafts = self.shaft_reader(self.cell_shown_by(id));
         let screen_space = viewer.kind == RendererKind::ScreenSpace;
         let filter = viewer.quality.settings.frame_filter;
         let blend = self.blend();
         let plain = frame_key(&self.gpu, &self.scene, filter, blend, screen_space);
-        let plain = self.key_for(viewer, id, plain);
-        let cell = self.active_cells.get_mut(&id)?;
-        let (layers, view) = match (screen_space, &viewer.screen_space) {
-            (true, Some(job)) => (job.marched().read_group().clone(), job.view()),
-            (true, None) => return None,
-            (false, _) => (
-                cell.buffers
-                    .cached_group(&self.gpu, &self.pipelines, &self.atlas)
-                    .clone(),
-                view,
-            ),
+        let keys: Vec<PipelineKey> = self
+            .keys_for(viewer, id, plain)
+            .into_iter()
+            .map(|key| shown_key(key, shown))
+            .collect();
+        let asked = EyesPicture {
+            viewer,
+            cell: id,
+            requests,
+            keys: &keys,
+            inspected: shown.is_inspection().then_some(shown),
         };
-        let air = self.air_views.group(
-            &self.gpu,
-            &self.pipelines,
-            encoder,
-            f64::from(view.altitude_m),
-            shafts.as_ref(),
-        );
-        let (scene, field) = (
-            cell.buffers.scene_group.clone(),
-            cell.buffers.field_group().clone(),
-        );
-        let inputs = CompositeInputs {
-            key: shown_key(plain, shown),
-            scene: &scene,
-            air: air.as_ref(),
-            layers: &layers,
-            view: &view,
-            ground_radius_m: ground_radius_m(&self.scene, &self.active, &view),
-        };
-        if shown.is_inspection() {
-            self.record_inspection(encoder, picture, &inputs, &field, shown);
-        } else {
-            picture.record(
-                &self.gpu,
-                encoder,
-                &mut self.timing,
-                &self.pipelines,
-                &inputs,
-            );
-        }
+        self.record_eyes(encoder, picture, &asked)?;
         self.counters.dispatches += 1;
         Some(())
     }
 
-    /// Composites one viewer's view into a picture of its own.
+    /// Composites one viewer's view into a picture of its own, each eye by its key.
     pub(super) fn composite_still(
         &mut self,
         id: ViewerId,
         picture: &Picture,
-        key: PipelineKey,
+        keys: &[PipelineKey],
         inspected: Option<Shown>,
     ) -> Result<(), GpuError> {
         let gone = || GpuError::Device("the viewer of the picture is gone".into());
-        let cell = self.viewers.get(&id).ok_or_else(gone)?.cell;
-        let shafts = self.shaft_reader(cell);
-        let viewer = self.viewers.get(&id).ok_or_else(gone)?;
-        let view = self.view_of(viewer).ok_or_else(gone)?;
-        let cell = self.active_cells.get_mut(&viewer.cell).ok_or_else(gone)?;
-        let (layers, view) = match &viewer.screen_space {
-            Some(job) => (job.marched().read_group().clone(), job.view()),
-            None => (
-                cell.buffers
-                    .cached_group(&self.gpu, &self.pipelines, &self.atlas)
-                    .clone(),
-                view,
-            ),
-        };
+        let viewer = self.viewers.remove(&id).ok_or_else(gone)?;
         self.timing.begin();
         let mut encoder = self
             .gpu
@@ -371,35 +329,16 @@ impl SkyRenderer {
             .create_command_encoder(&wgpu::CommandEncoderDescriptor {
                 label: Some("still"),
             });
-        let air = self.air_views.group(
-            &self.gpu,
-            &self.pipelines,
-            &mut encoder,
-            f64::from(view.altitude_m),
-            shafts.as_ref(),
-        );
-        let (scene, field) = (
-            cell.buffers.scene_group.clone(),
-            cell.buffers.field_group().clone(),
-        );
-        let inputs = CompositeInputs {
-            key,
-            scene: &scene,
-            air: air.as_ref(),
-            layers: &layers,
-            view: &view,
-            ground_radius_m: ground_radius_m(&self.scene, &self.active, &view),
+        let asked = EyesPicture {
+            viewer: &viewer,
+            cell: viewer.cell,
+            requests: &viewer.requests,
+            keys,
+            inspected,
         };
-        match inspected {
-            Some(shown) => self.record_inspection(&mut encoder, picture, &inputs, &field, shown),
-            None => picture.record(
-                &self.gpu,
-                &mut encoder,
-                &mut self.timing,
-                &self.pipelines,
-                &inputs,
-            ),
-        }
+        let recorded = self.record_eyes(&mut encoder, picture, &asked);
+        self.viewers.insert(id, viewer);
+        recorded.ok_or_else(gone)?;
         self.timing.resolve(&mut encoder);
         self.submit(encoder);
         self.timing.submitted();

@@ -342,7 +342,7 @@ impl SkyRenderer {
         let pixels: u64 = self
             .viewers
             .values()
-            .map(|viewer| u64::from(viewer.view.size.pixels()))
+            .map(|viewer| u64::from(viewer.view.picture_size().pixels()))
             .sum();
         let pixels_mean = pixels as f64 / self.viewers.len().max(1) as f64;
         let mut changed = Vec::new();
@@ -382,7 +382,8 @@ impl SkyRenderer {
         let tiles: usize = viewer.requests.iter().map(Vec::len).sum();
         let view_ms = tiles as f64 * f64::from(samples) * self.qualities.tile.ms.unwrap_or(0.0);
         Some(FrameCost {
-            composite_ms: composite_ms * f64::from(viewer.view.size.pixels()) / pixels_mean,
+            composite_ms: composite_ms * f64::from(viewer.view.picture_size().pixels())
+                / pixels_mean,
             march_ms: view_ms / (viewer.view.fps * RENEWAL_S),
         })
     }

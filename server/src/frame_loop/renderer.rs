@@ -428,6 +428,7 @@ impl SkyRenderer {
                     renderer,
                     quality: None,
                     show: skycell_protocol::Show::Picture,
+                    stereo: None,
                 },
             );
             self.refresh_cells();
@@ -446,9 +447,9 @@ impl SkyRenderer {
                 let blend = self.blend();
                 let key = frame_key(&self.gpu, &self.scene, filter, blend, screen_space);
                 let picture = Picture::new(&self.gpu, &self.pipelines, size, false);
-                self.composite_still(viewer, &picture, key, None)?;
+                self.composite_still(viewer, &picture, &[key], None)?;
                 if !screen_space {
-                    self.composite_still(viewer, &picture, with_parallax(key), None)?;
+                    self.composite_still(viewer, &picture, &[with_parallax(key)], None)?;
                 }
             }
             self.warm_up_fade(size);

@@ -33,16 +33,34 @@ struct JobWindow {
     frame: CellFrame,
 }
 
-/// A picture that is being marched.
+/// What one eye sees of a picture that is being marched.
 #[derive(Debug)]
-pub(super) struct ScreenSpaceJob {
+pub(super) struct EyeJob {
     marched: MarchedPixels,
     /// The view that is shown, and that of what is under way: a camera that moves on is shown by the next frame.
     view: layout::View,
     next_view: layout::View,
     window: Option<JobWindow>,
+}
+
+impl EyeJob {
+    pub(super) fn marched(&self) -> &MarchedPixels {
+        &self.marched
+    }
+
+    pub(super) fn view(&self) -> layout::View {
+        self.view
+    }
+}
+
+/// A picture that is being marched.
+#[derive(Debug)]
+pub(super) struct ScreenSpaceJob {
+    /// One, or the left and the right one, of which a sample is complete together.
+    eyes: Vec<EyeJob>,
     /// Whole samples, or frames, since the view or the scene changed.
     sample: u32,
+    eye: usize,
     layer: u32,
     row: u32,
 }
@@ -52,37 +70,43 @@ const FIRST_ROWS: u32 = 16;
 
 impl ScreenSpaceJob {
     /// A picture of which nothing is marched yet. `view` is that of the picture; rays are as many as its pixels.
-    pub(super) fn new(marched: MarchedPixels, view: layout::View) -> Self {
-        Self {
+    pub(super) fn new(eyes: impl IntoIterator<Item = (MarchedPixels, layout::View)>) -> Self {
+        let eyes = eyes.into_iter().map(|(marched, view)| EyeJob {
             marched,
             view,
             next_view: view,
             window: None,
+        });
+        Self {
+            eyes: eyes.collect(),
             sample: 0,
+            eye: 0,
             layer: 0,
             row: 0,
         }
     }
 
-    pub(super) fn marched(&self) -> &MarchedPixels {
-        &self.marched
+    pub(super) fn eyes(&self) -> &[EyeJob] {
+        &self.eyes
     }
 
-    pub(super) fn view(&self) -> layout::View {
-        self.view
+    fn window(&self) -> Option<&JobWindow> {
+        self.eyes.first()?.window.as_ref()
     }
 
     /// Samples or frames after which nothing is left to do for a view at rest.
     fn samples_wanted(&self, samples: u32) -> u32 {
-        self.window
-            .as_ref()
+        self.window()
             .map_or(samples, |own| own.window.plan().frames)
     }
 
-    /// What the next frame shows. What is under way is given up.
-    fn look(&mut self, view: layout::View) {
-        self.next_view = view;
+    /// What the next frame shows, if something else than before. What is under way is given up.
+    fn look(&mut self, views: &[layout::View]) {
+        for (eye, view) in self.eyes.iter_mut().zip(views) {
+            eye.next_view = *view;
+        }
         self.sample = 0;
+        self.eye = 0;
         self.layer = 0;
         self.row = 0;
     }
@@ -114,12 +138,12 @@ impl SkyRenderer {
         let Some(mut viewer) = self.viewers.remove(&id) else {
             return;
         };
-        let view = self.view_of(&viewer);
+        let views = self.views_of(&viewer);
         let place = self.place_of(&viewer);
-        let goes_on = match (&mut viewer.screen_space, view, place) {
-            (Some(job), Some(view), Some((cell, frame))) => match &job.window {
+        let goes_on = match (&mut viewer.screen_space, views, place) {
+            (Some(job), Some(views), Some((cell, frame))) => match job.window() {
                 Some(own) if own.cell == cell && own.frame == frame => {
-                    job.look(view);
+                    job.look(&views);
                     true
                 }
                 _ => false,
@@ -137,7 +161,7 @@ impl SkyRenderer {
     pub(super) fn scene_changed_for_screen_space(&mut self, same_layers: bool) {
         for viewer in self.viewers.values_mut() {
             match &mut viewer.screen_space {
-                Some(job) if job.window.is_some() && same_layers => job.look(job.next_view),
+                Some(job) if job.window().is_some() && same_layers => job.look(&[]),
                 job => *job = None,
             }
         }
@@ -157,23 +181,26 @@ impl SkyRenderer {
     }
 
     fn new_job(&self, viewer: &ActiveViewer) -> Option<ScreenSpaceJob> {
-        let view = self.view_of(viewer)?;
+        let views = self.views_of(viewer)?;
         let (cell, frame) = self.place_of(viewer)?;
         let (size, layers) = (viewer.view.size, self.active.len());
-        let marched = MarchedPixels::new(&self.gpu, &self.pipelines, size, layers, None);
-        let mut job = ScreenSpaceJob::new(marched, view);
+        let marched = || MarchedPixels::new(&self.gpu, &self.pipelines, size, layers, None);
+        let mut job = ScreenSpaceJob::new(views.into_iter().map(|view| (marched(), view)));
         if let Some(plan) = self.window_plan(viewer)
             && layers > 0
         {
-            let plan = fitting_window(&self.gpu, size, layers, plan);
-            let values = job.marched.values();
-            let ring = WindowRing::new(&self.gpu, &self.pipelines, size, layers, plan, values);
-            job.window = Some(JobWindow {
-                window: TemporalWindow::new(plan),
-                ring,
-                cell,
-                frame,
-            });
+            // Two eyes have half of a ring's bytes each.
+            let plan = fitting_window(&self.gpu, viewer.view.picture_size(), layers, plan);
+            for eye in &mut job.eyes {
+                let values = eye.marched.values();
+                let ring = WindowRing::new(&self.gpu, &self.pipelines, size, layers, plan, values);
+                eye.window = Some(JobWindow {
+                    window: TemporalWindow::new(plan),
+                    ring,
+                    cell,
+                    frame,
+                });
+            }
         }
         Some(job)
     }
@@ -192,7 +219,9 @@ impl SkyRenderer {
         if let Some(job) = &mut viewer.screen_space {
             let wanted = job.samples_wanted(samples);
             if layers == 0 {
-                job.view = job.next_view;
+                for eye in &mut job.eyes {
+                    eye.view = eye.next_view;
+                }
                 job.sample = wanted;
                 complete = true;
             } else if job.sample < wanted {
@@ -221,8 +250,11 @@ impl SkyRenderer {
         budget_ns: u64,
         layers: u32,
     ) -> bool {
-        let size = job.marched.size();
-        let [width, height] = job
+        let Some(eye) = job.eyes.get_mut(job.eye) else {
+            return false;
+        };
+        let size = eye.marched.size();
+        let [width, height] = eye
             .window
             .as_ref()
             .map_or([size.width(), size.height()], |own| own.ring.marched());
@@ -237,7 +269,7 @@ impl SkyRenderer {
         let rows = rows.next_multiple_of(8).clamp(8, left.max(8)).min(left);
         let scene_index = self.active[job.layer as usize].scene_index;
         let features = layer_features(&self.scene, scene_index, &self.cell_settings(cell));
-        let mut view = job.next_view;
+        let mut view = eye.next_view;
         view.jitter = f32::from(u8::from(self.settings.jitter));
         view.first_row = job.row;
         view.layer = job.layer;
@@ -247,7 +279,7 @@ impl SkyRenderer {
         let Some(on_device) = self.active_cells.get(&cell) else {
             return false;
         };
-        if let Some(own) = &mut job.window {
+        if let Some(own) = &mut eye.window {
             own.window.begin();
             let window = own.window.marched();
             let strip = WindowStrip {
@@ -259,7 +291,7 @@ impl SkyRenderer {
             };
             own.ring
                 .submit_strip(&self.gpu, &mut self.timing, &self.pipelines, &strip);
-        } else if !self.submit_pixels(cell, &job.marched, features, &view, rows) {
+        } else if !self.submit_pixels(cell, &eye.marched, features, &view, rows) {
             return false;
         }
         self.watch_submission();
@@ -276,14 +308,21 @@ impl SkyRenderer {
             return false;
         }
         job.layer = 0;
+        job.eye += 1;
+        if job.eye < job.eyes.len() {
+            return false;
+        }
+        job.eye = 0;
         job.sample += 1;
-        job.view = job.next_view;
-        self.resolve(job);
+        for eye in &mut job.eyes {
+            eye.view = eye.next_view;
+            self.resolve(eye);
+        }
         true
     }
 
-    /// Sums the window up for the view that is shown.
-    fn resolve(&mut self, job: &mut ScreenSpaceJob) {
+    /// Sums an eye's window up for the view that is shown.
+    fn resolve(&mut self, job: &mut EyeJob) {
         let drifts = self.active_drifts();
         let Some(own) = &mut job.window else { return };
         own.window.complete(&job.view, &drifts);

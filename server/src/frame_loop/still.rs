@@ -2,7 +2,7 @@
 
 use super::interface::{RenderTotals, ViewRequest};
 use super::renderer::SkyRenderer;
-use super::screen_space::{ScreenSpaceJob, WindowChoice};
+use super::screen_space::{EyeJob, ScreenSpaceJob, WindowChoice};
 use super::still_frames::cell_around;
 use super::still_settings::{LayerFigures, RayFigures, RayPicture};
 use super::still_settings::{StillFigures, StillPicture, StillSettings};
@@ -158,7 +158,7 @@ impl StillRenderer {
         self.renderer.meter_now()?;
         let (display, linear) = self.composites(size, screen_space, settings)?;
         Ok(StillPicture {
-            size,
+            size: settings.stereo.map_or(size, |_| size.pair()),
             display,
             linear,
             figures: start.figures(self)?,
@@ -179,6 +179,7 @@ impl StillRenderer {
             renderer: RendererKind::ScreenSpace,
             window: None,
             frames: 1,
+            stereo: None,
             ..*settings
         };
         if list.rays.len() != list.size.pixels() as usize {
@@ -233,21 +234,26 @@ impl StillRenderer {
             right: f32s(list.pixel_m[0]),
             up: f32s(-list.pixel_m[1]),
             altitude_m: altitude_m as f32,
-            ..renderer.view_of(viewer).ok_or_else(gone)?
+            ..*renderer
+                .views_of(viewer)
+                .and_then(|eyes| eyes.first().copied())
+                .as_ref()
+                .ok_or_else(gone)?
         };
         // Light shafts are seen from one place, too.
         renderer.shafts.eye = list.rays.first().map(|ray| ray.origin_m);
         let viewer = renderer.viewers.get_mut(&VIEWER).ok_or_else(gone)?;
-        viewer.screen_space = Some(ScreenSpaceJob::new(marched, view));
+        viewer.screen_space = Some(ScreenSpaceJob::new([(marched, view)]));
         self.march_all(true, progress)?;
         let (display, linear) = self.composites(list.size, true, settings)?;
         let renderer = &self.renderer;
         let viewer = renderer.viewers.get(&VIEWER).ok_or_else(gone)?;
-        let job = viewer.screen_space.as_ref().ok_or_else(gone)?;
+        let eyes = viewer.screen_space.as_ref().map(ScreenSpaceJob::eyes);
+        let eye = eyes.and_then(<[EyeJob]>::first).ok_or_else(gone)?;
         let values: Vec<f32> = if layers == 0 {
             Vec::new()
         } else {
-            let bytes = read_buffer_blocking(&renderer.gpu, job.marched().values())?;
+            let bytes = read_buffer_blocking(&renderer.gpu, eye.marched().values())?;
             bytemuck::pod_collect_to_vec(&bytes)
         };
         let found: Vec<LayerFigures> = values
@@ -324,6 +330,7 @@ impl StillRenderer {
                 renderer: settings.renderer,
                 quality: None,
                 show: settings.show,
+                stereo: settings.stereo,
             },
         );
         renderer.viewers.get_mut(&VIEWER).is_some_and(|viewer| {
@@ -335,17 +342,25 @@ impl StillRenderer {
         })
     }
 
+    /// The list of rays that is marched in the place of a camera's.
+    fn listed_rays(&self) -> Option<&wgpu::Buffer> {
+        let viewer = self.renderer.viewers.get(&VIEWER)?;
+        viewer
+            .screen_space
+            .as_ref()?
+            .eyes()
+            .first()?
+            .marched()
+            .rays()
+    }
+
+    /// Those of the picture as it is shown and of its linear radiance, each with one for each eye.
     pub(super) fn composite_keys(
         &self,
         screen_space: bool,
         settings: &StillSettings,
-    ) -> [PipelineKey; 2] {
-        let ray_list = self
-            .renderer
-            .viewers
-            .get(&VIEWER)
-            .and_then(|viewer| viewer.screen_space.as_ref())
-            .is_some_and(|job| job.marched().rays().is_some());
+    ) -> [Vec<PipelineKey>; 2] {
+        let ray_list = self.listed_rays().is_some();
         self.composite_keys_for(screen_space, settings, ray_list)
     }
 
@@ -354,7 +369,7 @@ impl StillRenderer {
         screen_space: bool,
         settings: &StillSettings,
         ray_list: bool,
-    ) -> [PipelineKey; 2] {
+    ) -> [Vec<PipelineKey>; 2] {
         let shown = shown_of(settings.show);
         let renderer = &self.renderer;
         let viewer = renderer.viewers.get(&VIEWER);
@@ -367,8 +382,11 @@ impl StillRenderer {
                 screen_space,
                 linear,
             );
-            let key = viewer.map_or(key, |viewer| renderer.key_for(viewer, viewer.cell, key));
-            PipelineKey {
+            let keys = viewer.map_or_else(
+                || vec![key],
+                |viewer| renderer.keys_for(viewer, viewer.cell, key),
+            );
+            let of_eye = |key: PipelineKey| PipelineKey {
                 features: Features {
                     ray_list,
                     shown: if shown.is_inspection() {
@@ -381,7 +399,8 @@ impl StillRenderer {
                     ..key.features
                 },
                 ..key
-            }
+            };
+            keys.into_iter().map(of_eye).collect()
         })
     }
 
@@ -391,17 +410,19 @@ impl StillRenderer {
         settings: &StillSettings,
         ray_list: bool,
     ) -> Result<(), GpuError> {
-        for key in self.composite_keys_for(screen_space, settings, ray_list) {
+        let keys = self.composite_keys_for(screen_space, settings, ray_list);
+        for key in keys.iter().flatten().copied() {
             let renderer = &mut self.renderer;
             renderer.pipelines.prepare(&renderer.gpu, key)?;
             renderer.pipelines.prepare(&renderer.gpu, ground_key(key))?;
         }
         let shown = shown_of(settings.show);
         if shown.is_inspection() {
-            let [key, _] = self.composite_keys_for(screen_space, settings, ray_list);
             let renderer = &mut self.renderer;
-            for key in renderer.shown_keys(shown, key) {
-                renderer.pipelines.prepare(&renderer.gpu, key)?;
+            for key in keys[0].iter().copied() {
+                for key in renderer.shown_keys(shown, key) {
+                    renderer.pipelines.prepare(&renderer.gpu, key)?;
+                }
             }
         }
         Ok(())
@@ -475,23 +496,20 @@ impl StillRenderer {
         screen_space: bool,
         settings: &StillSettings,
     ) -> Result<(Vec<u8>, Vec<f32>), GpuError> {
-        let [display_key, linear_key] = self.composite_keys(screen_space, settings);
-        let mut read = |key, linear| {
+        let [display_keys, linear_keys] = self.composite_keys(screen_space, settings);
+        let mut read = |keys: &[PipelineKey], linear| {
+            let rays = self.listed_rays().cloned();
             let renderer = &mut self.renderer;
-            let rays = renderer
-                .viewers
-                .get(&VIEWER)
-                .and_then(|viewer| viewer.screen_space.as_ref())
-                .and_then(|job| job.marched().rays());
-            let picture =
-                Picture::with_rays(&renderer.gpu, &renderer.pipelines, size, linear, rays);
+            let (gpu, pipelines) = (&renderer.gpu, &renderer.pipelines);
+            let eyes = keys.len();
+            let picture = Picture::with_rays(gpu, pipelines, size, eyes, linear, rays.as_ref());
             let shown = shown_of(settings.show);
             let inspected = (!linear && shown.is_inspection()).then_some(shown);
-            renderer.composite_still(VIEWER, &picture, key, inspected)?;
+            renderer.composite_still(VIEWER, &picture, keys, inspected)?;
             read_buffer_blocking(&renderer.gpu, picture.pixels())
         };
-        let display = read(display_key, false)?;
-        let linear = bytemuck::pod_collect_to_vec(&read(linear_key, true)?);
+        let display = read(&display_keys, false)?;
+        let linear = bytemuck::pod_collect_to_vec(&read(&linear_keys, true)?);
         Ok((display, linear))
     }
 

@@ -84,12 +84,12 @@ impl StillRenderer {
             self.renderer.refresh_cells();
             self.prepare_composites(false, &settings, false)?;
             self.march_all(false, |_| {})?;
-            let [key, linear_key] = self.composite_keys(false, &settings);
-            let display = self.composite_bytes(size, key, false)?;
+            let [keys, linear_keys] = self.composite_keys(false, &settings);
+            let display = self.composite_bytes(size, &keys, false)?;
             let marches = self.totals().texels_updated - before;
-            let composite_ns = self.least_composite_ns(size, key, costs.timed)?;
+            let composite_ns = self.least_composite_ns(size, &keys, costs.timed)?;
             let reads_per_pixel = if costs.counts_reads {
-                Some(self.reads_per_pixel(size, linear_key)?)
+                Some(self.reads_per_pixel(size, &linear_keys)?)
             } else {
                 None
             };
@@ -106,12 +106,12 @@ impl StillRenderer {
     fn composite_bytes(
         &mut self,
         size: FrameSize,
-        key: PipelineKey,
+        keys: &[PipelineKey],
         linear: bool,
     ) -> Result<Vec<u8>, GpuError> {
         let renderer = &mut self.renderer;
         let picture = Picture::new(&renderer.gpu, &renderer.pipelines, size, linear);
-        renderer.composite_still(VIEWER, &picture, key, None)?;
+        renderer.composite_still(VIEWER, &picture, keys, None)?;
         read_buffer_blocking(&renderer.gpu, picture.pixels())
     }
 
@@ -119,13 +119,13 @@ impl StillRenderer {
     fn least_composite_ns(
         &mut self,
         size: FrameSize,
-        key: PipelineKey,
+        keys: &[PipelineKey],
         times: u32,
     ) -> Result<Option<u64>, GpuError> {
         let mut least: Option<u64> = None;
         for _ in 0..times {
             let before_ns = self.renderer.gpu_time(TimedPass::Composite).0;
-            self.composite_bytes(size, key, false)?;
+            self.composite_bytes(size, keys, false)?;
             let ns = self.renderer.gpu_time(TimedPass::Composite).0 - before_ns;
             if ns > 0 {
                 least = Some(least.map_or(ns, |least| least.min(ns)));
@@ -137,20 +137,25 @@ impl StillRenderer {
     fn reads_per_pixel(
         &mut self,
         size: FrameSize,
-        linear_key: PipelineKey,
+        linear_keys: &[PipelineKey],
     ) -> Result<f64, GpuError> {
-        let key = PipelineKey {
+        let counting = |key: &PipelineKey| PipelineKey {
             features: Features {
                 count_reads: true,
-                ..linear_key.features
+                ..key.features
             },
-            ..linear_key
+            ..*key
         };
+        let keys: Vec<PipelineKey> = linear_keys.iter().map(counting).collect();
         let renderer = &mut self.renderer;
-        renderer.pipelines.prepare(&renderer.gpu, key)?;
-        renderer.pipelines.prepare(&renderer.gpu, ground_key(key))?;
+        for key in &keys {
+            renderer.pipelines.prepare(&renderer.gpu, *key)?;
+            renderer
+                .pipelines
+                .prepare(&renderer.gpu, ground_key(*key))?;
+        }
         let values: Vec<f32> =
-            bytemuck::pod_collect_to_vec(&self.composite_bytes(size, key, true)?);
+            bytemuck::pod_collect_to_vec(&self.composite_bytes(size, &keys, true)?);
         let reads: f64 = values.chunks_exact(4).map(|p| f64::from(p[3])).sum();
         Ok(reads / f64::from(size.pixels()))
     }

@@ -52,6 +52,7 @@ impl StillRenderer {
                 renderer: RendererKind::Cached,
                 quality: None,
                 show: settings.show,
+                stereo: None,
             };
             renderer.join(*id, view);
         }
@@ -180,9 +181,9 @@ impl StillRenderer {
         let key = self.living_key(viewers);
         let renderer = &mut self.renderer;
         let active = renderer.viewers.get(&id).ok_or_else(gone)?;
-        let key = renderer.key_for(active, active.cell, key);
+        let keys = renderer.keys_for(active, active.cell, key);
         let picture = Picture::new(&renderer.gpu, &renderer.pipelines, viewers.size, false);
-        renderer.composite_still(id, &picture, key, None)?;
+        renderer.composite_still(id, &picture, &keys, None)?;
         read_buffer_blocking(&renderer.gpu, picture.pixels())
     }
 

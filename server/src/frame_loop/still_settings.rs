@@ -5,7 +5,7 @@ use crate::march::{BandEnds, MarchSettings, ProxySettings, ProxySetup, WindowPla
 use crate::quality::default_parallax_steps;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use skycell_protocol::{Codec, FrameSize, RendererKind, Show};
+use skycell_protocol::{Codec, FrameSize, RendererKind, Show, Stereo};
 
 /// How a single picture is made.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -50,6 +50,9 @@ pub struct StillSettings {
     pub reference_offset_m: [f64; 3],
     /// What the picture shows.
     pub show: Show,
+    /// Two eyes side by side in the place of one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stereo: Option<Stereo>,
     /// How the picture is going to be compressed, which decides how it is dithered.
     #[serde(skip)]
     pub codec: Codec,
@@ -77,6 +80,7 @@ impl Default for StillSettings {
             phase_of_reference: false,
             reference_offset_m: [0.0; 3],
             show: Show::Picture,
+            stereo: None,
             codec: Codec::Png,
         }
     }

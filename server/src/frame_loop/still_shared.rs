@@ -63,6 +63,7 @@ impl StillRenderer {
                 renderer: RendererKind::Cached,
                 quality: None,
                 show: settings.show,
+                stereo: None,
             };
             renderer.join(*id, view);
         }
@@ -91,7 +92,7 @@ impl StillRenderer {
         let begun = Instant::now();
         for id in &ids {
             let picture = Picture::new(&renderer.gpu, &renderer.pipelines, size, false);
-            renderer.composite_still(*id, &picture, key, None)?;
+            renderer.composite_still(*id, &picture, &[key], None)?;
             read_buffer_blocking(&renderer.gpu, picture.pixels())?;
         }
         let composite_wall_s = begun.elapsed().as_secs_f64();

@@ -387,6 +387,7 @@ mod tests {
                 renderer: RendererKind::Cached,
                 quality: None,
                 show: Show::Picture,
+                stereo: None,
             },
         );
         renderer.refresh_cells();

@@ -8,7 +8,7 @@ use super::screen_space::ScreenSpaceJob;
 use super::transitions::Transition;
 use crate::cache::{LEVELS, TEXELS_PER_TILE, TileRequest};
 use crate::composite::{Picture, dither_shift, view_frustum, view_uniform};
-use crate::gpu::ReadbackRing;
+use crate::gpu::{Gpu, Pipelines, ReadbackRing};
 use skycell_protocol::{Camera, CellId, InputSequence, RendererKind, ViewerId};
 use skycell_shaders::layout;
 use std::time::{Duration, Instant};
@@ -75,10 +75,20 @@ impl ActiveViewer {
     }
 }
 
+/// The picture of a viewer.
+fn picture_of(gpu: &Gpu, pipelines: &Pipelines, view: &ViewRequest) -> Picture {
+    Picture::of_eyes(gpu, pipelines, view.size, view.eyes().len(), false)
+}
+
+/// Where it is read back.
+fn new_ring(view: &ViewRequest) -> ReadbackRing {
+    let bytes = u64::from(view.picture_size().pixels()) * 4;
+    ReadbackRing::new(bytes, READBACKS_PER_VIEWER)
+}
+
 impl SkyRenderer {
     pub(super) fn join(&mut self, id: ViewerId, view: ViewRequest) {
         let cell = self.place(id, &view.camera);
-        let bytes = u64::from(view.size.pixels()) * 4;
         let kind = self.kind_of(&view, None);
         let waits = kind == RendererKind::Cached && !self.can_be_shown(&view);
         self.prepare_above(&view);
@@ -96,8 +106,8 @@ impl SkyRenderer {
             cell,
             transition: None,
             requests: Vec::new(),
-            picture: Picture::new(&self.gpu, &self.pipelines, view.size, false),
-            ring: ReadbackRing::new(bytes, READBACKS_PER_VIEWER),
+            picture: picture_of(&self.gpu, &self.pipelines, &view),
+            ring: new_ring(&view),
             screen_space: None,
             sequence: 0,
             acknowledged: 0,
@@ -186,10 +196,10 @@ impl SkyRenderer {
         let Some(viewer) = self.viewers.get_mut(&id) else {
             return;
         };
-        if viewer.view.size != view.size {
-            let bytes = u64::from(view.size.pixels()) * 4;
-            viewer.picture = Picture::new(&self.gpu, &self.pipelines, view.size, false);
-            viewer.ring = ReadbackRing::new(bytes, READBACKS_PER_VIEWER);
+        let before = viewer.view;
+        if before.size != view.size || before.stereo.is_some() != view.stereo.is_some() {
+            viewer.picture = picture_of(&self.gpu, &self.pipelines, &view);
+            viewer.ring = new_ring(&view);
             if let Some(transition) = &mut viewer.transition {
                 transition.resize(&self.gpu, &self.pipelines, &viewer.picture);
             }
@@ -212,27 +222,38 @@ impl SkyRenderer {
         self.end_empty_cells();
     }
 
-    /// The view of a viewer as the shaders read it, with the tables of its cell.
-    pub(super) fn view_of(&self, viewer: &ActiveViewer) -> Option<layout::View> {
-        self.view_in(viewer, viewer.cell, &viewer.requests)
+    /// The views of a viewer's eyes as the shaders read them, with the tables of its cell.
+    pub(super) fn views_of(&self, viewer: &ActiveViewer) -> Option<Vec<layout::View>> {
+        self.views_in(viewer, viewer.cell, &viewer.requests)
     }
 
-    /// The view of a viewer with the tables of a cell of which it requests something.
-    pub(super) fn view_in(
+    /// The views of a viewer's eyes with the tables of a cell of which it requests something.
+    pub(super) fn views_in(
         &self,
         viewer: &ActiveViewer,
         cell: CellId,
         requests: &[Vec<TileRequest>],
+    ) -> Option<Vec<layout::View>> {
+        let eyes = viewer.eyes_in(cell);
+        eyes.iter()
+            .map(|eye| self.view_in(viewer, eye, cell, requests))
+            .collect()
+    }
+
+    fn view_in(
+        &self,
+        viewer: &ActiveViewer,
+        eye: &Camera,
+        cell: CellId,
+        requests: &[Vec<TileRequest>],
     ) -> Option<layout::View> {
-        let camera = viewer.camera_in(cell);
         let is_left = viewer.has_jumped_from(cell);
         let cell = self.active_cells.get(&cell)?;
-        let frustum = view_frustum(&camera, viewer.view.size, &cell.frame);
+        let frustum = view_frustum(eye, viewer.view.size, &cell.frame);
         let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
         view.dither_shift = dither_shift(viewer.view.codec);
         let domes = self.kept_on.has_domes();
-        let (scene, active) = (&self.scene, &self.active);
-        view.parallax_steps = parallax_steps(scene, active, domes, viewer, &camera, cell);
+        view.parallax_steps = parallax_steps(&self.scene, &self.active, domes, viewer, eye, cell);
         for (proxy, requests) in requests.iter().enumerate().take(view.tables.len()) {
             let finest = requests.iter().map(|r| r.key.level).max().unwrap_or(0);
             let finest = if is_left {

@@ -10,7 +10,7 @@ use crate::composite::{
 };
 use crate::gpu::PipelineKey;
 use crate::march::layer_features;
-use skycell_protocol::{CellId, RendererKind, Show, ViewerId};
+use skycell_protocol::{Camera, CellId, RendererKind, Show, ViewerId};
 use skycell_shaders::Shown;
 
 /// Why a view of the cache shows the picture instead.
@@ -52,7 +52,9 @@ impl SkyRenderer {
 
     fn frame_keys(&self, viewer: &ActiveViewer, shown: Shown) -> Vec<PipelineKey> {
         let composite = self.composite_by(viewer, viewer.kind);
-        self.shown_keys(shown, self.key_for(viewer, viewer.cell, composite))
+        let keys = self.keys_for(viewer, viewer.cell, composite);
+        let of_eyes = keys.into_iter().flat_map(|key| self.shown_keys(shown, key));
+        of_eyes.collect()
     }
 
     /// The keys of all that a viewer's frames come to need as it moves: away from its reference, and to where the cache does not
@@ -75,10 +77,24 @@ impl SkyRenderer {
             .collect()
     }
 
-    /// A composite's key as a viewer needs it that reads the cache of a cell.
-    pub(super) fn key_for(
+    /// A composite's keys as a viewer's eyes need them.
+    pub(super) fn keys_for(
         &self,
         viewer: &ActiveViewer,
+        cell: CellId,
+        composite: PipelineKey,
+    ) -> Vec<PipelineKey> {
+        let eyes = viewer.eyes_in(cell);
+        eyes.iter()
+            .map(|eye| self.key_for(viewer, eye, cell, composite))
+            .collect()
+    }
+
+    /// A composite's key as an eye of a viewer needs it that reads the cache of a cell.
+    fn key_for(
+        &self,
+        viewer: &ActiveViewer,
+        eye: &Camera,
         cell: CellId,
         composite: PipelineKey,
     ) -> PipelineKey {
@@ -88,8 +104,7 @@ impl SkyRenderer {
         };
         let domes = self.kept_on.has_domes();
         let (scene, active) = (&self.scene, &self.active);
-        let camera = viewer.camera_in(cell);
-        let steps = parallax_steps(scene, active, domes, viewer, &camera, on_device);
+        let steps = parallax_steps(scene, active, domes, viewer, eye, on_device);
         let composite = if steps > 0 {
             with_parallax(composite)
         } else {
@@ -160,11 +175,14 @@ impl SkyRenderer {
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         picture: &Picture,
-        inputs: &CompositeInputs<'_>,
+        eyes: &[CompositeInputs<'_>],
         field: &wgpu::BindGroup,
         shown: Shown,
     ) {
-        let keys = self.shown_keys(shown, inputs.key);
+        // An inspection reads no cache: both eyes have the same.
+        let keys = eyes
+            .first()
+            .map_or_else(Vec::new, |eye| self.shown_keys(shown, eye.key));
         let highest_top_m = self
             .active
             .iter()
@@ -179,7 +197,7 @@ impl SkyRenderer {
             encoder,
             &mut self.timing,
             &self.pipelines,
-            inputs,
+            eyes,
             &InspectionInputs {
                 field,
                 inspections,

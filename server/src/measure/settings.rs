@@ -134,6 +134,7 @@ impl PointSettings {
             },
             samples: self.samples,
             show: skycell_protocol::Show::Picture,
+            stereo: None,
             codec: skycell_protocol::Codec::Png,
             window: self.window(),
             frames: self.samples,

@@ -45,6 +45,10 @@ pub struct RenderArguments {
     /// Vertical field of view [default: 60].
     #[arg(long)]
     pub fov_deg: Option<f64>,
+    /// Two eyes so far apart, metres, side by side in one picture; width and height are those of one eye. For the device's
+    /// renderers.
+    #[arg(long, value_name = "M", allow_negative_numbers = true, conflicts_with_all = ["rays", "orthographic_height_m"])]
+    pub stereo: Option<f64>,
     /// Parallel rays from a rectangle of this height about the eye, metres, instead of a field of view.
     #[arg(long, value_name = "M", conflicts_with = "rays")]
     pub orthographic_height_m: Option<f64>,

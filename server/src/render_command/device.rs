@@ -11,7 +11,7 @@ use crate::march::{CellFrame, MarchSettings, WindowPlan};
 use anyhow::{Context, bail, ensure};
 use glam::DVec3;
 use serde_json::json;
-use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, Show};
+use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, Show, Stereo};
 use skycell_reference::phase::one_minus_mu;
 use skycell_reference::{Ray, RayResult, World};
 use std::sync::Arc;
@@ -55,6 +55,7 @@ fn settings(
         "--show {} makes colours; --out must end in .png",
         arguments.show.name()
     );
+    let stereo = arguments.stereo.map(Stereo::new).transpose();
     let jitter = chosen.has(Approximation::Jitter);
     Ok(StillSettings {
         renderer: match arguments.renderer {
@@ -97,6 +98,7 @@ fn settings(
         bands: arguments.bands,
         band_ends: arguments.band_ends,
         show: arguments.show,
+        stereo: stereo.context("--stereo")?,
         ..StillSettings::default()
     })
 }
@@ -134,7 +136,10 @@ pub(super) fn run(
             camera,
             size,
             orthographic_height_m: None,
-        } => still.render_with(*camera, *size, &settings, progress)?,
+        } => {
+            let size = size.for_eyes(settings.stereo)?;
+            still.render_with(*camera, size, &settings, progress)?
+        }
         Target::Camera {
             camera,
             size,
@@ -219,6 +224,7 @@ fn write_png(
     chosen: &Chosen,
 ) -> anyhow::Result<()> {
     let (width, height) = (picture.size.width(), picture.size.height());
+    let eye_width = arguments.width;
     let (tone_map, dither) = (
         chosen.has(Approximation::ToneMap),
         chosen.has(Approximation::Dither),
@@ -238,7 +244,8 @@ fn write_png(
             .zip(picture.linear.chunks_exact(4))
             .flat_map(|(index, p)| {
                 let radiance = [p[0], p[1], p[2]].map(f64::from);
-                display.bytes(radiance, index % width, index / width)
+                // Both eyes have the same pattern, as the device gives them.
+                display.bytes(radiance, index % width % eye_width, index / width)
             })
             .collect()
     };

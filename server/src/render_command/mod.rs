@@ -190,6 +190,10 @@ pub fn run(arguments: &RenderArguments) -> anyhow::Result<()> {
             device::run(arguments, scene, &folders, &chosen, target, output)
         }
         StillKind::Reference | StillKind::PathTraced => {
+            ensure!(
+                arguments.stereo.is_none(),
+                "--stereo needs --renderer cached or screen-space"
+            );
             on_processor(arguments, &scene, &folders, &chosen, target, output)
         }
     }

@@ -100,8 +100,9 @@ impl Inbound<'_> {
     }
 
     fn change_view(&mut self, change: ViewChange) {
-        let size = match change.size_after(self.viewer.view().size) {
-            Ok(size) => size,
+        let before = self.viewer.view();
+        let (size, stereo) = match change.size_after(before.size, before.stereo) {
+            Ok(after) => after,
             Err(error) => {
                 return self.answer(ErrorMessage {
                     code: ErrorCode::BadValue,
@@ -112,6 +113,7 @@ impl Inbound<'_> {
         };
         self.viewer.change_view(|view| {
             view.size = size;
+            view.stereo = stereo;
             view.fps = change.fps.unwrap_or(view.fps);
             view.codec = change.codec.unwrap_or(view.codec);
             if let Some(quality) = change.jpeg_quality {

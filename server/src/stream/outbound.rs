@@ -107,6 +107,7 @@ impl Outbound<'_> {
             codec: FrameCodec::None,
             heartbeat: true,
             coarse: self.last.is_some_and(|last| last.coarse),
+            stereo: self.last.is_some_and(|last| last.stereo),
             sequence: self.last.map_or(FrameSequence(0), |last| last.sequence),
             width: 0,
             height: 0,
@@ -198,5 +199,6 @@ fn status_of(
         renderer_note: known.and_then(|known| known.renderer_note.map(str::to_owned)),
         show_note: known.and_then(|known| known.show_note.map(str::to_owned)),
         loss_note: figures.and_then(|cell| cell.loss_note.clone()),
+        stereo: viewer.view().stereo,
     }
 }

@@ -61,6 +61,7 @@ async fn serve(
         renderer: hello.renderer,
         quality: hello.quality,
         show: hello.show,
+        stereo: hello.stereo,
     };
     let viewer = match context.viewers.join(view) {
         Ok(viewer) => viewer,

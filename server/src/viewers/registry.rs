@@ -131,6 +131,7 @@ mod tests {
             renderer: RendererKind::Cached,
             quality: None,
             show: skycell_protocol::Show::Picture,
+            stereo: None,
         }
     }
 

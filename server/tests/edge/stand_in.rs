@@ -194,7 +194,10 @@ impl State {
             self.witness
                 .pixels_alive_most
                 .fetch_max(alive, Ordering::SeqCst);
-            let mut rgba = noise(state.view.size.pixels() as usize * 4, state.composited);
+            let mut rgba = noise(
+                state.view.picture_size().pixels() as usize * 4,
+                state.composited,
+            );
             if self.behaviour.breaks_frames {
                 rgba.pop();
             }
@@ -204,7 +207,8 @@ impl State {
                 input: state.input,
                 scene_revision: self.revision,
                 cell: CellId(0),
-                size: state.view.size,
+                size: state.view.picture_size(),
+                stereo: state.view.stereo.is_some(),
                 codec: state.view.codec,
                 jpeg_quality: state.view.jpeg_quality,
                 coarse: state.composited == 1,

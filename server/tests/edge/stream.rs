@@ -64,6 +64,42 @@ async fn a_change_of_wishes_shows_in_the_next_frames() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn frames_of_two_eyes_are_twice_as_wide_and_say_so() {
+    let world = start().await;
+    let mut hello = hello_json();
+    hello["stereo"] = json!({"eye_distance_m": 0.064});
+    let (mut client, _) = Client::join_as(world.address(), hello).await;
+    let (header, payload) = client.frame().await;
+    assert!(header.stereo && (header.width, header.height) == (128, 32));
+    let picture = image::load_from_memory(&payload).expect("a PNG");
+    assert_eq!((picture.width(), picture.height()), (128, 32));
+    let viewers = world.get_json("/api/v1/viewers").await;
+    assert_eq!(
+        (&viewers[0]["width"], &viewers[0]["stereo"]),
+        (&json!(64), &json!({"eye_distance_m": 0.064}))
+    );
+    // Too wide for two eyes: refused as a whole, with both eyes open.
+    client
+        .say(&json!({"type": "view", "width": 2000, "height": 16}))
+        .await;
+    let error = client.error().await;
+    assert_eq!(error["pointer"], "/width");
+    client
+        .frame_with(|header| header.stereo && header.height == 32)
+        .await;
+    client.say(&json!({"type": "view", "stereo": null})).await;
+    client
+        .frame_with(|header| !header.stereo && header.width == 64)
+        .await;
+    client
+        .say(&json!({"type": "view", "stereo": {"eye_distance_m": 2}, "width": 48}))
+        .await;
+    client
+        .frame_with(|header| header.stereo && header.width == 96)
+        .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn frames_tell_the_last_camera_that_they_show_and_a_flood_of_cameras_is_thinned() {
     let world = start().await;
     let mut client = Client::join(world.address()).await;

@@ -52,6 +52,24 @@ async fn a_bad_message_gets_its_error_and_the_session_goes_on() {
             "1 to 3840",
         ),
         (
+            "{\"type\":\"view\",\"width\":1921,\"stereo\":{\"eye_distance_m\":0.064}}",
+            "bad-value",
+            Some("/width"),
+            "1 to 1920 for each of two eyes",
+        ),
+        (
+            "{\"type\":\"view\",\"stereo\":{\"eye_distance_m\":1e9}}",
+            "bad-value",
+            Some("/stereo/eye_distance_m"),
+            "0 to 100",
+        ),
+        (
+            "{\"type\":\"view\",\"stereo\":0.064}",
+            "bad-value",
+            Some("/stereo"),
+            "an object with eye_distance_m",
+        ),
+        (
             "{\"type\":\"view\",\"hight\":3}",
             "bad-value",
             Some("/hight"),

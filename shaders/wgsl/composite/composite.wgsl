@@ -393,7 +393,7 @@ fn composite(@builtin(global_invocation_id) id: vec3u) {
 #endif
 #endif
         let inside = pixel.x < eye.width && pixel.y < eye.height;
-        let at = pixel.y * eye.width + pixel.x;
+        let at = pixel.y * eye.picture_width + eye.first_column + pixel.x;
 #ifdef LINEAR_OUTPUT
 #ifdef CACHE_READS
         if inside { picture[at] = vec4f(radiance, f32(cache_reads)); }

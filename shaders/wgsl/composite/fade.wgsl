@@ -7,6 +7,8 @@ struct Fade {
     height: u32,
     /// Squares of 2^dither_shift pixels are rounded by the same threshold.
     dither_shift: u32,
+    /// Columns of one eye's part of the picture.
+    eye_width: u32,
 }
 
 @group(0) @binding(0) var<uniform> fade: Fade;
@@ -32,5 +34,7 @@ fn fade_pictures(@builtin(global_invocation_id) id: vec3u) {
     let way = fade;
     if id.x >= way.width || id.y >= way.height { return; }
     let at = id.y * way.width + id.x;
-    picture[at] = mixed(old_picture[at], picture[at], way.share, threshold(id.xy >> vec2u(way.dither_shift)));
+    // Both eyes have the same pattern, which would else float in front of the sky or behind it.
+    let pixel = vec2u(id.x % way.eye_width, id.y);
+    picture[at] = mixed(old_picture[at], picture[at], way.share, threshold(pixel >> vec2u(way.dither_shift)));
 }

@@ -40,7 +40,10 @@ struct View {
     dither_shift: u32,
     /// Most places along a ray at which it is searched for what cached texels show; 0: proxy spheres alone.
     parallax_steps: u32,
-    pad_view: vec2u,
+    /// Columns of the picture that is written: more than the view's where two eyes stand side by side in it.
+    picture_width: u32,
+    /// Which of them is the view's first.
+    first_column: u32,
 }
 
 /// A ray of a picture that is no pinhole camera's, in the frame of its cell.

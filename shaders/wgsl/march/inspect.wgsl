@@ -139,7 +139,7 @@ fn found_in_layer(layer: Layer, pixel: vec2u) -> vec2f {
 @compute @workgroup_size(8, 8, 1)
 fn inspect(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= view.width || id.y >= view.height { return; }
-    let at = id.y * view.width + id.x;
+    let at = id.y * view.picture_width + view.first_column + id.x;
     var found = found_in_layer(scene.layers[inspection.layer], id.xy);
     if inspection.is_first == 0u {
         let before = unpack2x16unorm(picture[at]);

@@ -106,6 +106,11 @@ impl ActiveViewer {
         Camera::new(from_m, yaw_deg, pitch_deg, camera.vertical_fov_deg()).unwrap_or(camera)
     }
 
+    /// The cameras of its eyes there.
+    pub(super) fn eyes_in(&self, cell: CellId) -> Vec<Camera> {
+        self.view.eyes_about(&self.camera_in(cell))
+    }
+
     /// Whether what it is shown is of where it was before a jump.
     pub(super) fn is_shown_elsewhere(&self) -> bool {
         self.transition
@@ -326,7 +331,7 @@ impl SkyRenderer {
         }
         let is_first = transition.way.stage() == Stage::Fades && transition.fade.is_none();
         if is_first {
-            let bytes = PictureFade::bytes_of(viewer.view.size);
+            let bytes = PictureFade::bytes_of(viewer.view.picture_size());
             if self.fade_bytes() + bytes > PICTURES_BYTES_MAX {
                 transition.way.give_up();
             } else {
@@ -426,7 +431,7 @@ impl SkyRenderer {
     fn fade_bytes(&self) -> u64 {
         let fading = self.viewers.values().filter(|viewer| viewer.fades());
         fading
-            .map(|viewer| PictureFade::bytes_of(viewer.view.size))
+            .map(|viewer| PictureFade::bytes_of(viewer.view.picture_size()))
             .sum()
     }
 
