@@ -5,6 +5,7 @@ use super::interface::ViewRequest;
 use super::qualities::ViewerQuality;
 use super::renderer::SkyRenderer;
 use super::screen_space::ScreenSpaceJob;
+use super::sides::RendererFade;
 use super::transitions::Transition;
 use crate::cache::{TEXELS_PER_TILE, TileRequest};
 use crate::composite::{Picture, dither_shift, view_frustum, view_uniform};
@@ -33,6 +34,8 @@ pub(super) struct ActiveViewer {
     pub(super) kind: RendererKind,
     /// Since when the cache is being made for it, while rays of its own still make its frames.
     pub(super) approaches: Option<Instant>,
+    /// Its way from there to the cache.
+    pub(super) renderer_fade: Option<RendererFade>,
     pub(super) quality: ViewerQuality,
     pub(super) requests: Vec<Vec<TileRequest>>,
     pub(super) picture: Picture,
@@ -89,6 +92,7 @@ impl SkyRenderer {
                 kind
             },
             approaches: waits.then(Instant::now),
+            renderer_fade: None,
             quality: self.quality_of(&view, None),
             shown_camera: view.camera,
             view,
@@ -160,10 +164,12 @@ impl SkyRenderer {
             .map(|(id, _)| *id)
             .collect();
         for id in &arrived {
+            let fade = self.renderer_fade(*id);
             if let Some(viewer) = self.viewers.get_mut(id) {
                 viewer.kind = RendererKind::Cached;
                 viewer.approaches = None;
                 viewer.screen_space = None;
+                viewer.renderer_fade = fade;
             }
         }
         arrived
@@ -190,6 +196,7 @@ impl SkyRenderer {
             let bytes = u64::from(view.size.pixels()) * 4;
             viewer.picture = Picture::new(&self.gpu, &self.pipelines, view.size, false);
             viewer.ring = ReadbackRing::new(bytes, READBACKS_PER_VIEWER);
+            viewer.renderer_fade = None;
             if let Some(transition) = &mut viewer.transition {
                 transition.resize(&self.gpu, &self.pipelines, &viewer.picture);
             }
