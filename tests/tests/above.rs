@@ -6,6 +6,7 @@ use serde_json::json;
 use skycell_protocol::{Camera, FrameSize, RendererKind, Scene};
 use skycell_server::config::RenderConfig;
 use skycell_server::frame_loop::{StillRenderer, StillSettings};
+use skycell_server::march::MarchSettings;
 use skycell_tests::accuracy::distance;
 use skycell_tests::server::target_dir;
 use std::sync::Arc;
@@ -44,6 +45,11 @@ fn shown(
     let settings = StillSettings {
         renderer,
         samples: SAMPLES,
+        march: MarchSettings {
+            // From orbit the plain air hides all clouds.
+            aerial_perspective: camera.position_m()[1] < 50_000.0,
+            ..MarchSettings::default()
+        },
         reference_offset_m: offset_m,
         ..StillSettings::default()
     };

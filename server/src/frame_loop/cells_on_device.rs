@@ -431,7 +431,14 @@ impl SkyRenderer {
         let is_read = in_cell.any(ActiveViewer::reads_cache);
         self.active.iter().enumerate().any(|(place, layer)| {
             let off = self.anchor_m(cell, place) - reference;
-            let height_m = layer.proxy_altitude_m - cell.frame.altitude_m(reference);
+            let altitude_m = cell.frame.altitude_m(reference);
+            let top_m = self.scene.layers()[layer.scene_index].top_altitude_m();
+            // Rays from above that graze the layer meet the surface about an anchor that is no lower than half way to the top.
+            let height_m = if altitude_m > top_m {
+                altitude_m - top_m
+            } else {
+                layer.proxy_altitude_m - altitude_m
+            };
             let rise_max_m = ANCHOR_RISE_MAX * height_m.abs().max(SPHERE_HEIGHT_MIN_M);
             let [aside_max_m, rise_max_m] =
                 self.anchors_may_be_off(cell, [ANCHOR_DRIFT_MAX_M, rise_max_m]);

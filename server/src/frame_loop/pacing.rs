@@ -282,7 +282,9 @@ impl FrameLoop {
                 pace.change = Change::Seen;
             }
         }
-        for viewer in self.renderer.pass_transitions(passed.as_secs_f64()) {
+        let faded = self.renderer.pass_renderer_fades(passed.as_secs_f64());
+        let changed = self.renderer.pass_transitions(passed.as_secs_f64());
+        for viewer in faded.into_iter().chain(changed) {
             if let Some(pace) = self.paces.get_mut(&viewer) {
                 pace.change = Change::Seen;
             }

@@ -278,6 +278,7 @@ impl SkyRenderer {
             fade.record(gpu, encoder, &mut self.timing, pipelines, share, shift);
             self.counters.dispatches += 1;
         }
+        self.record_renderer_fade(encoder, viewer);
         encoder.copy_buffer_to_buffer(viewer.picture.pixels(), 0, target, 0, target.size());
         Some(())
     }

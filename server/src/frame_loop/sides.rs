@@ -7,12 +7,14 @@ mod tests;
 use super::cells_on_device::ActiveCell;
 use super::interface::ViewRequest;
 use super::renderer::{SkyRenderer, frame_key};
+use super::transitions::PICTURES_BYTES_MAX;
+use super::viewers_on_device::ActiveViewer;
 use crate::cells::Storeys;
-use crate::composite::{with_above, with_parallax};
+use crate::composite::{PictureFade, dither_shift, with_above, with_parallax};
 use crate::config::FrameFilter;
 use crate::gpu::PipelineKey;
 use crate::march::{LayerBlend, Side, active_layers, layer_bounds_m};
-use skycell_protocol::{CellId, RendererKind, Scene};
+use skycell_protocol::{Camera, CellId, RendererKind, Scene, ViewerId};
 
 /// From rays back to the cache, a camera goes this far out of a layer, m.
 const RETURN_MARGIN_M: f64 = 50.0;
@@ -20,7 +22,76 @@ const RETURN_MARGIN_M: f64 = 50.0;
 /// sheets are thin.
 const RETURN_SHARE: f64 = 0.1;
 
+/// From rays of its own to the cache a viewer at rest goes in this time, s.
+const RENDERER_FADE_S: f64 = 1.0;
+
+/// A viewer's way from rays of its own to the cache: its last picture of them goes into those of the cache.
+pub(super) struct RendererFade {
+    fade: PictureFade,
+    /// Share of the cache's picture.
+    share: f64,
+    /// From where the last picture was seen. Motion hides the change, and it would be seen twice.
+    camera: Camera,
+}
+
 impl SkyRenderer {
+    /// Keeps a viewer's last picture by rays, to be mixed with those of the cache that follow. None where it has none.
+    pub(super) fn renderer_fade(&mut self, id: ViewerId) -> Option<RendererFade> {
+        let viewer = self.viewers.get(&id)?;
+        let bytes = PictureFade::bytes_of(viewer.view.picture_size());
+        let is_seen = viewer.frames_composited > 0
+            && viewer.shown_camera == viewer.view.camera
+            && viewer.transition.is_none();
+        if !is_seen || self.fade_bytes() + bytes > PICTURES_BYTES_MAX {
+            return None;
+        }
+        let fade = PictureFade::new(&self.gpu, &self.pipelines, &viewer.picture);
+        let label = Some("keep a picture");
+        let descriptor = wgpu::CommandEncoderDescriptor { label };
+        let mut encoder = self.gpu.device.create_command_encoder(&descriptor);
+        let (from, to) = (viewer.picture.pixels(), fade.old().pixels());
+        encoder.copy_buffer_to_buffer(from, 0, to, 0, to.size());
+        let camera = viewer.shown_camera;
+        self.submit(encoder);
+        Some(RendererFade {
+            fade,
+            share: 0.0,
+            camera,
+        })
+    }
+
+    /// Lets time pass for viewers between rays and cache. Returns those whose frames show something else for that.
+    pub(super) fn pass_renderer_fades(&mut self, passed_s: f64) -> Vec<ViewerId> {
+        let mut changed = Vec::new();
+        for (id, viewer) in &mut self.viewers {
+            let Some(mut way) = viewer.renderer_fade.take() else {
+                continue;
+            };
+            changed.push(*id);
+            way.share += passed_s / RENDERER_FADE_S;
+            let stays = viewer.kind == RendererKind::Cached
+                && viewer.transition.is_none()
+                && viewer.view.camera == way.camera
+                && viewer.picture.eyes() == way.fade.old().eyes();
+            viewer.renderer_fade = Some(way).filter(|way| stays && way.share < 1.0);
+        }
+        changed
+    }
+
+    /// Records the mix of the last picture by rays into that of the cache.
+    pub(super) fn record_renderer_fade(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        viewer: &ActiveViewer,
+    ) {
+        if let Some(way) = &viewer.renderer_fade {
+            let (gpu, pipelines) = (&self.gpu, &self.pipelines);
+            let shift = dither_shift(viewer.view.codec);
+            (way.fade).record(gpu, encoder, &mut self.timing, pipelines, way.share, shift);
+            self.counters.dispatches += 1;
+        }
+    }
+
     /// On which side of each layer an altitude is.
     pub(super) fn sides_at(&self, altitude_m: f64) -> Vec<Side> {
         let bounds_m = layer_bounds_m(&self.scene, &self.active);

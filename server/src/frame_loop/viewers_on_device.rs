@@ -5,6 +5,7 @@ use super::interface::ViewRequest;
 use super::qualities::ViewerQuality;
 use super::renderer::SkyRenderer;
 use super::screen_space::ScreenSpaceJob;
+use super::sides::RendererFade;
 use super::transitions::Transition;
 use crate::cache::{LEVELS, TEXELS_PER_TILE, TileRequest};
 use crate::composite::{Picture, dither_shift, view_frustum, view_uniform};
@@ -33,6 +34,8 @@ pub(super) struct ActiveViewer {
     pub(super) kind: RendererKind,
     /// Since when the cache is being made for it, while rays of its own still make its frames.
     pub(super) approaches: Option<Instant>,
+    /// Its way from there to the cache.
+    pub(super) renderer_fade: Option<RendererFade>,
     pub(super) quality: ViewerQuality,
     pub(super) requests: Vec<Vec<TileRequest>>,
     pub(super) picture: Picture,
@@ -99,6 +102,7 @@ impl SkyRenderer {
                 kind
             },
             approaches: waits.then(Instant::now),
+            renderer_fade: None,
             quality: self.quality_of(&view, None),
             shown_camera: view.camera,
             view,
@@ -170,10 +174,12 @@ impl SkyRenderer {
             .map(|(id, _)| *id)
             .collect();
         for id in &arrived {
+            let fade = self.renderer_fade(*id);
             if let Some(viewer) = self.viewers.get_mut(id) {
                 viewer.kind = RendererKind::Cached;
                 viewer.approaches = None;
                 viewer.screen_space = None;
+                viewer.renderer_fade = fade;
             }
         }
         arrived
@@ -200,6 +206,7 @@ impl SkyRenderer {
         if before.size != view.size || before.stereo.is_some() != view.stereo.is_some() {
             viewer.picture = picture_of(&self.gpu, &self.pipelines, &view);
             viewer.ring = new_ring(&view);
+            viewer.renderer_fade = None;
             if let Some(transition) = &mut viewer.transition {
                 transition.resize(&self.gpu, &self.pipelines, &viewer.picture);
             }

@@ -43,6 +43,7 @@ impl Driven {
         renderer.finish_approaches(Instant::now());
         renderer.regroup(1.0 / FPS);
         renderer.pass_transitions(1.0 / FPS);
+        renderer.pass_renderer_fades(1.0 / FPS);
         renderer.refresh_cells();
         renderer.march(TILES);
         renderer.refresh_cells();
@@ -119,10 +120,23 @@ fn who_is_carried_through_a_layer_at_once_gets_rays_until_the_cache_is_there() {
     assert_eq!(driven.kind(), RendererKind::ScreenSpace);
     assert!(driven.renderer.viewers[&CLIMBER].reads_cache());
     driven.wait_for_pipelines();
-    for _ in 0..40 {
-        driven.climb(3_000.0);
+    let mut by_rays = driven.climb(3_000.0);
+    let mut frames = Vec::new();
+    for _ in 0..60 {
+        let frame = driven.climb(3_000.0);
+        match driven.kind() {
+            RendererKind::ScreenSpace => by_rays = frame,
+            RendererKind::Cached => frames.push(frame),
+        }
     }
     assert_eq!(driven.kind(), RendererKind::Cached);
+    // It goes over to the cache by and by.
+    let last = frames.last().expect("frames of the cache").clone();
+    let whole = steps(&[by_rays.clone(), last])[0];
+    frames.insert(0, by_rays);
+    let most = steps(&frames).into_iter().fold(0.0, f64::max);
+    println!("from rays to the cache {whole:.4}, in one frame {most:.4} at most");
+    assert!(most < 0.5 * whole, "{most} {whole}");
     // All that is read was marched from where it is now.
     let id = driven.cell_of(CLIMBER);
     assert!(driven.renderer.is_reached(id, 3_000.0));

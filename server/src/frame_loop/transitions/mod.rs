@@ -25,7 +25,7 @@ use skycell_protocol::{Camera, CellId, RendererKind, ViewerId};
 /// any more.
 const VIEWERS_MAX: usize = 32;
 /// Most bytes of second pictures: fifteen of 1920×1080.
-const PICTURES_BYTES_MAX: u64 = 128 << 20;
+pub(super) const PICTURES_BYTES_MAX: u64 = 128 << 20;
 /// The reference of a cell that somebody leaves stands still for that while it would not have to move farther, m.
 const HELD_MAX_M: f64 = 3_000.0;
 /// Pictures about old and new anchors differ as little as those of references that are so far apart, rad.
@@ -68,11 +68,13 @@ impl ActiveViewer {
         }
     }
 
-    /// Whether two cells are mixed in its frames.
+    /// Whether two pictures are mixed in its frames: of two cells, or of rays and the cache.
     pub(super) fn fades(&self) -> bool {
-        self.transition
-            .as_ref()
-            .is_some_and(|transition| transition.way.stage() == Stage::Fades)
+        self.renderer_fade.is_some()
+            || self
+                .transition
+                .as_ref()
+                .is_some_and(|transition| transition.way.stage() == Stage::Fades)
     }
 
     /// Whether it needs a cell, which may have no members any more.
@@ -428,7 +430,7 @@ impl SkyRenderer {
         viewers.filter(|viewer| viewer.transition.is_some()).count()
     }
 
-    fn fade_bytes(&self) -> u64 {
+    pub(super) fn fade_bytes(&self) -> u64 {
         let fading = self.viewers.values().filter(|viewer| viewer.fades());
         fading
             .map(|viewer| PictureFade::bytes_of(viewer.view.picture_size()))
