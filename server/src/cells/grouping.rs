@@ -139,10 +139,18 @@ impl Cells {
         let share = 1.0 - (-passed_s.max(0.0) / FOLLOW_TIME_S).exp();
         let places = &self.places;
         for cell in self.cells.values_mut().filter(|cell| !cell.placed) {
-            let Some(mean_m) = mean(&cell.members, places) else {
+            let limit = cell.limit;
+            // Who has gone through a layer leaves; the reference stays with the others.
+            let stays = |viewer: &ViewerId| {
+                places
+                    .get(viewer)
+                    .is_some_and(|place| limit.share_storey(place.position_m, cell.reference_m))
+            };
+            let staying: Vec<ViewerId> = cell.members.iter().copied().filter(stays).collect();
+            let mean_m = mean(&staying, places).or_else(|| mean(&cell.members, places));
+            let Some(mean_m) = mean_m else {
                 continue;
             };
-            let limit = cell.limit;
             let away_m = limit.distance_m(mean_m, cell.reference_m);
             let near_m = if cell.is_settled { SET_OUT_M } else { ARRIVE_M };
             cell.is_settled = away_m <= near_m;

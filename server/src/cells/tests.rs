@@ -392,3 +392,28 @@ fn who_jumps_away_leaves_the_others_where_they_are() {
     cells.regroup(0.02);
     assert_eq!(cells.cell_of(last), Some(home));
 }
+
+#[test]
+fn who_climbs_through_a_layer_leaves_the_others_where_they_are() {
+    let mut cells = empty();
+    cells.set_storeys(Storeys::of(&[[1_500.0, 2_000.0]]));
+    let place = |cells: &mut Cells, id: u32, altitude_m: f64| {
+        cells.place(ViewerId(id), DVec3::new(f64::from(id), altitude_m, 0.0));
+    };
+    for id in 1..=4 {
+        place(&mut cells, id, 1_490.0);
+    }
+    for _ in 0..100 {
+        cells.regroup(TICK_S);
+    }
+    let home = cells.cell_of(ViewerId(1)).expect("a cell");
+    for altitude_m in [1_501.0, 1_700.0, 2_400.0] {
+        place(&mut cells, 4, altitude_m);
+        for _ in 0..20 {
+            cells.regroup(TICK_S);
+            check(&cells, "a climb");
+            assert!((1..=3).all(|id| cells.cell_of(ViewerId(id)) == Some(home)));
+            assert_ne!(cells.cell_of(ViewerId(4)), Some(home));
+        }
+    }
+}
