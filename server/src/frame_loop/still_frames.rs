@@ -225,7 +225,8 @@ mod tests {
         let reads: Vec<f64> = found.iter().filter_map(|f| f.1.reads_per_pixel).collect();
         // Catmull-Rom's five, opacity, distance and the page table for those pixels that are no ground.
         assert!(reads[1] <= 8.0 && reads[1] > 6.0, "{reads:?}");
-        assert!(reads[0] > 2.0 * reads[1], "{reads:?}");
+        // The texel on the sphere, and some places.
+        assert!(reads[0] > 1.5 * reads[1], "{reads:?}");
         for (frame, (picture, _)) in frames.iter().zip(&found) {
             let own = StillSettings {
                 parallax_steps: frame.parallax_steps,
