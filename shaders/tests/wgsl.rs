@@ -115,7 +115,7 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::SunLayer>(Kernel::MarchTexels);
     check::<layout::SunVolume>(Kernel::MarchTexels);
     check::<layout::SunColumns>(Kernel::SunColumns);
-    check::<layout::Reference>(Kernel::MarchTexels);
+    check::<layout::Reference>(Kernel::AuditTexels);
     check::<layout::PageTable>(Kernel::Composite);
     check::<layout::View>(Kernel::Composite);
     check::<layout::Fade>(Kernel::FadePictures);

@@ -131,8 +131,27 @@ fn each_half_is_what_one_eye_sees_from_its_place() -> anyhow::Result<()> {
         let pair = Stereo::new(eye_distance_m)?;
         let (halves, alone) = seen(&mut still, &settings, pair, camera, size)?;
         for (side, (half, alone)) in ["left", "right"].iter().zip(halves.iter().zip(&alone)) {
-            assert!(half.0 == alone.0, "{what}: {side}, as shown");
-            assert!(half.1 == alone.1, "{what}: {side}, linear");
+            // A pair's tiles may lie in other slots than those of one eye. A texel's place on a page of 8192 rows has 2⁻¹² of a
+            // texel of rounding, twice, and between neighbours radiance differs by what there is at most.
+            let is_read = settings.renderer == cached;
+            let most = alone.1.iter().fold(0.0f32, |most, value| most.max(*value));
+            let (may_differ, bytes) = if is_read {
+                (most / 2048.0, 1)
+            } else {
+                (0.0, 0)
+            };
+            let is_shown = half
+                .0
+                .iter()
+                .zip(&alone.0)
+                .all(|(a, b)| a.abs_diff(*b) <= bytes);
+            let is_linear = half
+                .1
+                .iter()
+                .zip(&alone.1)
+                .all(|(a, b)| (a - b).abs() <= may_differ);
+            assert!(is_shown, "{what}: {side}, as shown");
+            assert!(is_linear, "{what}: {side}, linear");
         }
         assert!(
             eye_distance_m < 1.0 || halves[0] != halves[1] || settings.show == Show::CacheMip,

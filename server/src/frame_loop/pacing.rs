@@ -269,11 +269,10 @@ impl FrameLoop {
         self.note_wind(now);
         self.step_maps(now);
         let cells = self.renderer.adapt_exposures(now, passed.as_secs_f64());
-        let arrived = self.renderer.finish_approaches(now);
         for (id, pace) in &mut self.paces {
             let viewer = self.renderer.viewers.get(id);
             let is_shown = |v: &ActiveViewer| cells.iter().any(|cell| v.looks_at(*cell));
-            if arrived.contains(id) || viewer.is_some_and(is_shown) {
+            if viewer.is_some_and(is_shown) {
                 pace.change = Change::Seen;
             }
         }
@@ -290,6 +289,12 @@ impl FrameLoop {
             }
         }
         self.renderer.refresh_cells();
+        // By what they ask for now: whoever moves all the time arrives, too.
+        for viewer in self.renderer.finish_approaches(now) {
+            if let Some(pace) = self.paces.get_mut(&viewer) {
+                pace.change = Change::Seen;
+            }
+        }
         self.note_held(now);
         let due = self.due_viewers(now);
         if !due.is_empty() {

@@ -282,6 +282,7 @@ mod tests {
             apart.push(most.unwrap_or(0));
         }
         assert!(apart[0] <= 1, "{apart:?}");
-        assert!(apart[1] > 20, "{apart:?}");
+        // Ten times what rounding may do.
+        assert!(apart[1] > 10, "{apart:?}");
     }
 }

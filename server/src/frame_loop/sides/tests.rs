@@ -40,11 +40,11 @@ impl Driven {
         let renderer = &mut self.renderer;
         renderer.set_camera(CLIMBER, InputSequence(1), camera(altitude_m));
         renderer.take_views();
-        renderer.finish_approaches(Instant::now());
         renderer.regroup(1.0 / FPS);
         renderer.pass_transitions(1.0 / FPS);
         renderer.pass_renderer_fades(1.0 / FPS);
         renderer.refresh_cells();
+        renderer.finish_approaches(Instant::now());
         renderer.march(TILES);
         renderer.refresh_cells();
         if self.kind() == RendererKind::ScreenSpace {
@@ -79,7 +79,14 @@ impl Driven {
 fn a_climb_through_a_layer_and_back_shows_no_step_that_rays_do_not_show() {
     // Up through the lower layer into the gap, and down again.
     let up: Vec<f64> = (0..22).map(|i| 1_360.0 + 50.0 * f64::from(i)).collect();
-    let way: Vec<f64> = up.iter().chain(up.iter().rev()).copied().collect();
+    // It waits at the end until the cache is there again.
+    let rests = [up[0]; 12];
+    let way: Vec<f64> = up
+        .iter()
+        .chain(up.iter().rev())
+        .chain(&rests)
+        .copied()
+        .collect();
     let mut cached = joined(RendererKind::Cached, way[0]);
     let mut rays = joined(RendererKind::ScreenSpace, way[0]);
     let mut kinds = Vec::new();

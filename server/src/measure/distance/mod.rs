@@ -324,7 +324,7 @@ impl Bench {
                 .with_context(|| label(place, *first))?;
             let truth = match truth {
                 Some(truth) => truth,
-                None => truth.insert(self.from_the_eye(place.camera)?),
+                None => truth.insert(self.own_rays(place.camera)?),
             };
             for ((_, key), (picture, figures)) in missing.iter().zip(pictures) {
                 let errors = shown_errors(truth, &picture)?;
@@ -412,7 +412,7 @@ impl Bench {
             .collect()
     }
 
-    fn from_the_eye(&mut self, camera: Camera) -> anyhow::Result<RgbImage> {
+    fn own_rays(&mut self, camera: Camera) -> anyhow::Result<RgbImage> {
         let settings = self.fineness.screen_space();
         let picture = self
             .still

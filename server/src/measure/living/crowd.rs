@@ -36,7 +36,7 @@ impl LookingCrowd {
         // Periods from 9 to 24 s that fit into none of the others.
         let period_s = 9.0 + (viewer as f64 * 0.618).fract() * 15.0;
         let phase = at_s / period_s + place * 5.0;
-        let yaw_deg = if viewer % 4 == 0 {
+        let yaw_deg = if viewer.is_multiple_of(4) {
             towards_deg + 360.0 * at_s / (2.0 * period_s)
         } else {
             towards_deg + 50.0 * (TAU * phase).sin()
