@@ -376,6 +376,28 @@ impl Caches {
         self.spheres.get_mut(&id)?.remove(&key)
     }
 
+    /// Frames so far that were told by [`Self::frame_shown`].
+    #[must_use]
+    pub fn frame(&self) -> u64 {
+        self.frame
+    }
+
+    /// Gives the slots of tiles back that nobody wants and no frame has shown since one. Returns how many.
+    pub fn release_unseen(&mut self, since_frame: u64) -> usize {
+        let mut count = 0;
+        for sphere in self.spheres.values_mut() {
+            for (seen, key) in sphere.evictable() {
+                if seen < since_frame
+                    && let Some(slot) = sphere.remove(&key)
+                {
+                    self.pool.release(slot);
+                    count += 1;
+                }
+            }
+        }
+        count
+    }
+
     /// An audit of some texels of a tile has found another mean deviation than was expected, both percent: the tile is taken to
     /// age faster or more slowly from now on, within limits.
     pub fn note_audit(&mut self, id: SphereId, key: &TileKey, expected: f64, found: f64) {

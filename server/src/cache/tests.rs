@@ -523,3 +523,27 @@ fn layers_that_stay_keep_their_tiles_and_those_that_go_give_them_back() {
     let resident = |layer| caches.sphere(id(layer)).map_or(0, SphereCache::resident);
     assert_eq!([0, 1, 2].map(resident), [3, 0, 1]);
 }
+
+#[test]
+fn what_nobody_wants_and_no_frame_has_shown_for_long_gives_its_slot_back() {
+    let mut caches = Caches::new(10, 1);
+    let tiles: Vec<TileRequest> = (0..4).map(|x| request(tile(2, x, 0))).collect();
+    caches.sphere_mut(SPHERE).set_wanted(&[], &tiles);
+    updates_until_converged(&mut caches);
+    caches.frame_shown(SPHERE.cell);
+    // Two are looked at no more; the others are, in frames that follow.
+    caches.sphere_mut(SPHERE).set_wanted(&[], &tiles[..2]);
+    let since = caches.frame();
+    assert_eq!(
+        caches.release_unseen(since),
+        0,
+        "they were seen in that frame"
+    );
+    caches.frame_shown(SPHERE.cell);
+    assert_eq!(caches.release_unseen(caches.frame()), 2);
+    assert_eq!(caches.resident(), 2);
+    assert!(!caches.has_work(at_origin), "what is wanted stays");
+    // Whoever looks back has it marched again.
+    caches.sphere_mut(SPHERE).set_wanted(&[], &tiles);
+    assert_eq!(updates_until_converged(&mut caches), 2);
+}

@@ -14,6 +14,9 @@ use std::time::{Duration, Instant};
 
 /// How often the work that waits is looked at.
 const RATE_INTERVAL: Duration = Duration::from_millis(500);
+/// A tile that nobody wants and that was not seen for so long, or up to twice that, gives its slot back: where people travel
+/// memory holds what they look at, and not where they were.
+const UNSEEN_KEPT: Duration = Duration::from_secs(60);
 /// From this share of a budget on, wishes are counted tile by tile; below it, it is enough that they fit.
 const COUNTED_FROM: f64 = 0.5;
 
@@ -26,6 +29,8 @@ pub(super) struct Losses {
     pub(super) begun: Instant,
     rate_due: Instant,
     backlog_s: f64,
+    /// The frame that was shown at a time: tiles that were not seen since go when it is long ago.
+    unseen_since: (Instant, u64),
     /// Wishes may not fit, so they are counted.
     are_counted: bool,
 }
@@ -39,6 +44,7 @@ impl Default for Losses {
             begun: now,
             rate_due: now,
             backlog_s: 0.0,
+            unseen_since: (now, 0),
             are_counted: false,
         }
     }
@@ -139,6 +145,15 @@ impl SkyRenderer {
         let backlog_s = self.losses.backlog_s;
         if self.losses.rate.consider(backlog_s, is_hurried, now_s) {
             self.touch_all_requests();
+        }
+    }
+
+    /// Lets tiles go that nobody has looked at for long.
+    pub(super) fn forget_unseen(&mut self, now: Instant) {
+        let (marked, frame) = self.losses.unseen_since;
+        if now.duration_since(marked) >= UNSEEN_KEPT {
+            self.caches.release_unseen(frame);
+            self.losses.unseen_since = (now, self.caches.frame());
         }
     }
 

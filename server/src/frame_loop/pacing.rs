@@ -266,6 +266,7 @@ impl FrameLoop {
         }
         self.note_ages(now);
         self.renderer.consider_budgets(now);
+        self.renderer.forget_unseen(now);
         self.note_wind(now);
         self.step_maps(now);
         let cells = self.renderer.adapt_exposures(now, passed.as_secs_f64());
