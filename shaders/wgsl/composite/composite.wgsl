@@ -101,6 +101,8 @@ fn layer_radiance(world: Scene, eye: View, layer: Layer, kept: array<Kept, #{PRO
 #endif
 }
 
+// The parts of each layer. Written out, with constant indices, for the same reason as the layers below: an index that a function
+// is given is read lane by lane on a software driver.
 #if LAYERS >= 1
 fn kept_first(world: Scene, eye: View) -> array<Kept, #{PROXIES}> {
     var kept: array<Kept, #{PROXIES}>;
