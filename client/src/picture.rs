@@ -15,6 +15,9 @@ pub enum PictureError {
     /// A frame without a picture.
     #[error("the frame holds no picture")]
     NoPicture,
+    /// A part of a stream, or no colours.
+    #[error("a frame of {0:?} is no picture by itself")]
+    NoFile(FrameCodec),
     /// Not a JPEG or PNG file.
     #[error("the picture cannot be read: {0}")]
     Unreadable(#[from] image::ImageError),
@@ -32,6 +35,7 @@ pub fn to_png(header: &FrameHeader, payload: &[u8]) -> Result<Vec<u8>, PictureEr
         FrameCodec::Jpeg => ImageFormat::Jpeg,
         FrameCodec::Png => ImageFormat::Png,
         FrameCodec::None => return Err(PictureError::NoPicture),
+        FrameCodec::H264 | FrameCodec::Clouds => return Err(PictureError::NoFile(header.codec)),
     };
     let mut reader = ImageReader::with_format(Cursor::new(payload), format);
     let mut limits = Limits::default();
@@ -58,7 +62,7 @@ pub fn to_png(header: &FrameHeader, payload: &[u8]) -> Result<Vec<u8>, PictureEr
 #[cfg(test)]
 mod tests {
     use image::RgbImage;
-    use skycell_protocol::{CellId, FrameSequence, InputSequence, ViewerId};
+    use skycell_protocol::{CellId, FrameSequence, FrameStages, InputSequence, ViewerId};
 
     use super::*;
 
@@ -68,6 +72,8 @@ mod tests {
             heartbeat: false,
             coarse: false,
             stereo: false,
+            key: true,
+            exact: false,
             sequence: FrameSequence(1),
             width,
             height,
@@ -76,10 +82,9 @@ mod tests {
             cell: CellId(0),
             viewer: ViewerId(1),
             render_unix_us: 0,
-            render_to_encode_us: 0,
-            encode_us: 0,
-            encode_to_send_us: 0,
+            stages: FrameStages::default(),
             payload_bytes: 0,
+            target_kbit_per_s: 0,
         }
     }
 

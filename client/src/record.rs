@@ -11,8 +11,8 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 use skycell_protocol::message::{Acknowledgement, Hello};
 use skycell_protocol::{
-    Camera, CameraDocument, Codec, FrameHeader, FrameSize, InputSequence, QualityChoice,
-    QualityPreset, Stereo,
+    Camera, CameraDocument, Codec, FrameHeader, FrameSize, FrameStages, InputSequence,
+    QualityChoice, QualityPreset, Stereo,
 };
 use thiserror::Error;
 use tokio::time::{Instant, timeout_at};
@@ -92,16 +92,18 @@ pub struct RecordedFrame {
 pub struct HeaderRecord {
     pub coarse: bool,
     pub stereo: bool,
+    pub key: bool,
+    pub exact: bool,
     pub sequence: u32,
     pub scene_revision: u64,
     pub input: u64,
     pub cell: u32,
     pub viewer: u32,
     pub render_unix_us: u64,
-    pub render_to_encode_us: u32,
-    pub encode_us: u32,
-    pub encode_to_send_us: u32,
+    #[serde(flatten)]
+    pub stages: FrameStages,
     pub payload_bytes: u32,
+    pub target_kbit_per_s: u32,
 }
 
 impl From<&FrameHeader> for HeaderRecord {
@@ -109,16 +111,17 @@ impl From<&FrameHeader> for HeaderRecord {
         Self {
             coarse: header.coarse,
             stereo: header.stereo,
+            key: header.key,
+            exact: header.exact,
             sequence: header.sequence.0,
             scene_revision: header.scene_revision,
             input: header.input.0,
             cell: header.cell.0,
             viewer: header.viewer.0,
             render_unix_us: header.render_unix_us,
-            render_to_encode_us: header.render_to_encode_us,
-            encode_us: header.encode_us,
-            encode_to_send_us: header.encode_to_send_us,
+            stages: header.stages,
             payload_bytes: header.payload_bytes,
+            target_kbit_per_s: header.target_kbit_per_s,
         }
     }
 }

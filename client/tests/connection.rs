@@ -5,7 +5,7 @@ mod support;
 use std::time::Duration;
 
 use skycell_client::{Connection, ConnectionError, ConnectionLimits, Event, Frame, ServerAddress};
-use skycell_protocol::frame::FrameHeader;
+use skycell_protocol::frame::{FRAME_HEADER_BYTES, FrameHeader};
 use skycell_protocol::message::{Acknowledgement, ClientMessage, Hello};
 use skycell_protocol::{Camera, FrameSize, InputSequence};
 use support::{Behaviour, FakeServer, too_many_viewers};
@@ -108,15 +108,15 @@ async fn a_server_that_says_nothing_is_not_waited_for_without_end() {
 #[tokio::test]
 async fn what_is_no_frame_or_too_large_ends_the_session_with_a_reason() {
     let mut lying = FrameHeader::decode(&{
-        let mut bytes = [0; 64];
-        bytes[..5].copy_from_slice(b"SKYF\x01");
+        let mut bytes = [0; FRAME_HEADER_BYTES];
+        bytes[..5].copy_from_slice(b"SKYF\x02");
         bytes
     })
     .expect("a header");
     lying.payload_bytes = 7;
     for (garbage, part) in [
         (b"SKYF".to_vec(), "too few"),
-        (vec![0; 64], "not a frame"),
+        (vec![0; FRAME_HEADER_BYTES], "not a frame"),
         (lying.encode().to_vec(), "announces 7"),
         (vec![0; 5_000], "too long"),
     ] {

@@ -23,7 +23,7 @@ pub mod value_error;
 pub mod view;
 
 pub use camera::{Camera, CameraDocument};
-pub use frame::{FrameCodec, FrameHeader};
+pub use frame::{FrameCodec, FrameHeader, FrameStages};
 pub use id::{CellId, FrameSequence, InputSequence, ViewerId};
 pub use moment::Moment;
 pub use quality::{QualityChoice, QualityPreset};
@@ -33,7 +33,7 @@ pub use stereo::Stereo;
 pub use value_error::ValueError;
 pub use view::{Codec, FrameSize, JpegQuality, RendererKind};
 
-/// The version of messages and frame headers that this crate speaks.
+/// The version of messages that this crate speaks; frame headers have a version of their own.
 pub const PROTOCOL_VERSION: u32 = 1;
 
 /// The WebSocket subprotocol of [`PROTOCOL_VERSION`]; a server refuses a connection without it.

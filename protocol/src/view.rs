@@ -70,11 +70,21 @@ pub enum Codec {
     Jpeg,
     /// Exact and slow.
     Png,
+    /// A stream in which pictures build on earlier ones.
+    H264,
 }
 
 impl ReadJson for Codec {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
-        read_name(value, pointer, &[("jpeg", Self::Jpeg), ("png", Self::Png)])
+        read_name(
+            value,
+            pointer,
+            &[
+                ("jpeg", Self::Jpeg),
+                ("png", Self::Png),
+                ("h264", Self::H264),
+            ],
+        )
     }
 }
 

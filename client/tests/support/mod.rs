@@ -25,8 +25,8 @@ use skycell_protocol::message::{
     ClientMessage, ErrorCode, ErrorMessage, Hello, ServerMessage, Welcome,
 };
 use skycell_protocol::{
-    Camera, CellId, Codec, FrameSequence, FrameSize, InputSequence, PROTOCOL_VERSION, RendererKind,
-    SUBPROTOCOL, ViewerId,
+    Camera, CellId, Codec, FrameSequence, FrameSize, FrameStages, InputSequence, PROTOCOL_VERSION,
+    RendererKind, SUBPROTOCOL, ViewerId,
 };
 
 /// Samples until a texel of the fake has converged.
@@ -141,6 +141,7 @@ fn picture(hello: &Hello, camera: &Camera) -> Vec<u8> {
     let format = match hello.codec {
         Codec::Jpeg => ImageFormat::Jpeg,
         Codec::Png => ImageFormat::Png,
+        Codec::H264 => unreachable!("no test asks the fake for video"),
     };
     let mut file = Cursor::new(Vec::new());
     pixels
@@ -204,7 +205,7 @@ async fn welcome(socket: &mut WebSocket, viewer: u32) {
         max_width: 3840,
         max_height: 2160,
         max_fps: 120.0,
-        frame_header_bytes: 64,
+        frame_header_bytes: 96,
     };
     say(socket, ServerMessage::Welcome(welcome)).await;
 }
@@ -278,6 +279,8 @@ impl Frames {
             heartbeat: false,
             coarse,
             stereo: self.hello.stereo.is_some(),
+            key: true,
+            exact: !coarse,
             sequence: FrameSequence(self.sequence),
             width: picture_size(&self.hello).width() as u16,
             height: self.hello.size.height() as u16,
@@ -286,10 +289,9 @@ impl Frames {
             cell: CellId(0),
             viewer: ViewerId(self.viewer),
             render_unix_us: unix_us_now() - 1_000,
-            render_to_encode_us: 0,
-            encode_us: 0,
-            encode_to_send_us: 0,
+            stages: FrameStages::default(),
             payload_bytes: payload.len() as u32,
+            target_kbit_per_s: 0,
         };
         let mut message = header.encode().to_vec();
         message.extend_from_slice(&payload);

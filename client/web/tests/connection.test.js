@@ -33,7 +33,7 @@ class FakeWebSocket {
 const camera = { position_m: [0, 2, 0], yaw_deg: 0, pitch_deg: 12, vertical_fov_deg: 60 };
 const welcome = {
   type: "welcome", protocol: 1, viewer: 4, cell: 3, server: "test", adapter: "llvmpipe",
-  max_width: 3840, max_height: 2160, max_fps: 60, frame_header_bytes: 64,
+  max_width: 3840, max_height: 2160, max_fps: 60, frame_header_bytes: 96,
 };
 const afterAnimationFrame = () => new Promise((resolve) => setTimeout(resolve, 30));
 
@@ -142,9 +142,9 @@ test("the server's complaint is shown, and a wrong protocol ends the tries", (t)
 
 test("a frame of another version ends the connection with a reason", (t) => {
   const { connection, socket } = connected(t);
-  socket.say(frameBytes({ version: 2 }));
+  socket.say(frameBytes({ version: 3 }));
   assert.equal(connection.status.state, "closed");
-  assert.match(connection.status.message, /version 2/);
+  assert.match(connection.status.message, /version 3/);
 });
 
 test("waits double, stay within 15 s and keep their upper half random", () => {

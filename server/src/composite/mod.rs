@@ -113,7 +113,7 @@ pub fn view_frustum(camera: &Camera, size: FrameSize, frame: &CellFrame) -> View
 pub fn dither_shift(codec: Codec) -> u32 {
     match codec {
         Codec::Png => 0,
-        Codec::Jpeg => 3,
+        Codec::Jpeg | Codec::H264 => 3,
     }
 }
 

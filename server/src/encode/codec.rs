@@ -2,7 +2,7 @@
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
-use skycell_protocol::{Codec, FrameSize};
+use skycell_protocol::{Codec, FrameSize, ValueError};
 use thiserror::Error;
 
 /// Why pixels are not a picture.
@@ -27,9 +27,39 @@ pub enum EncodeError {
     /// The PNG encoder refuses.
     #[error("PNG: {0}")]
     Png(#[from] image::ImageError),
+    /// A codec that this server has no encoder for.
+    #[error("there is no encoder for {}", codec_name(*.0))]
+    NoEncoder(Codec),
     /// The picture is longer than a frame header can tell.
     #[error("a picture of {0} bytes is too long")]
     TooLong(usize),
+}
+
+/// The codecs that [`encode_after`] knows.
+const CODECS: [Codec; 2] = [Codec::Jpeg, Codec::Png];
+
+/// The codec as the wire calls it.
+fn codec_name(codec: Codec) -> &'static str {
+    match codec {
+        Codec::Jpeg => "jpeg",
+        Codec::Png => "png",
+        Codec::H264 => "h264",
+    }
+}
+
+/// Whether there is an encoder for a codec that a viewer asks for.
+///
+/// # Errors
+/// Names the codec and those that there are.
+pub fn check_codec(codec: Codec) -> Result<(), ValueError> {
+    if CODECS.contains(&codec) {
+        return Ok(());
+    }
+    Err(ValueError::new(
+        "/codec",
+        &codec_name(codec).into(),
+        CODECS.map(codec_name).join(", "),
+    ))
 }
 
 /// Appends the picture of `rgba` (rows from top to bottom, 4 bytes a pixel) to `out`. Reads the
@@ -72,6 +102,7 @@ pub fn encode_after(
                 ExtendedColorType::Rgba8,
             )?;
         }
+        Codec::H264 => return Err(EncodeError::NoEncoder(codec)),
     }
     Ok(())
 }

@@ -6,13 +6,13 @@ mod tests;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use skycell_protocol::{Codec, FrameHeader};
+use skycell_protocol::{Codec, FrameHeader, FrameStages};
 
-pub use codec::{EncodeError, encode_after};
+pub use codec::{EncodeError, check_codec, encode_after};
 
-use crate::clock::{saturating_us, unix_now_us};
+use crate::clock::saturating_us;
 use crate::frame_loop::interface::{FinishedFrame, FrameSink};
 use crate::metrics::Metrics;
 use crate::viewers::{EncodedFrame, Viewer, ViewerRegistry};
@@ -96,10 +96,8 @@ fn count_drop(viewer: &Viewer, metrics: &Metrics) {
 
 fn encode(frame: FinishedFrame, metrics: &Metrics) -> Result<EncodedFrame, EncodeError> {
     let started = Instant::now();
-    let started_unix_us = unix_now_us();
-    metrics
-        .encode_wait_s
-        .record(started.saturating_duration_since(frame.read_back));
+    let waited = started.saturating_duration_since(frame.read_back);
+    metrics.encode_wait_s.record(waited);
     let mut message = vec![0; FRAME_HEADER_BYTES];
     encode_after(
         &mut message,
@@ -113,12 +111,17 @@ fn encode(frame: FinishedFrame, metrics: &Metrics) -> Result<EncodedFrame, Encod
     match frame.codec {
         Codec::Jpeg => metrics.encode_jpeg_s.record(encode_time),
         Codec::Png => metrics.encode_png_s.record(encode_time),
+        // No encoder makes it.
+        Codec::H264 => {}
     }
     let header = FrameHeader {
         codec: frame.codec.into(),
         heartbeat: false,
         coarse: frame.coarse,
         stereo: frame.stereo,
+        // Each picture is whole.
+        key: true,
+        exact: frame.exact,
         sequence: frame.sequence,
         // At most 3840 and 2160.
         width: frame.size.width() as u16,
@@ -128,13 +131,14 @@ fn encode(frame: FinishedFrame, metrics: &Metrics) -> Result<EncodedFrame, Encod
         cell: frame.cell,
         viewer: frame.viewer,
         render_unix_us: frame.submitted_unix_us,
-        render_to_encode_us: saturating_us(Duration::from_micros(
-            started_unix_us.saturating_sub(frame.submitted_unix_us),
-        )),
-        encode_us: saturating_us(encode_time),
-        encode_to_send_us: 0,
+        stages: FrameStages {
+            encode_wait_us: saturating_us(waited),
+            encode_us: saturating_us(encode_time),
+            ..frame.stages
+        },
         payload_bytes: u32::try_from(message.len() - FRAME_HEADER_BYTES)
             .map_err(|_| EncodeError::TooLong(message.len()))?,
+        target_kbit_per_s: 0,
     };
     Ok(EncodedFrame::new(header, message, encoded))
 }

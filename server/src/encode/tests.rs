@@ -7,6 +7,7 @@ use skycell_protocol::{
 };
 
 use super::*;
+use crate::clock::unix_now_us;
 use crate::frame_loop::interface::{FramePixels, ViewRequest};
 use crate::viewers::ViewerMembership;
 
@@ -88,6 +89,14 @@ impl Bench {
             codec: Codec::Png,
             jpeg_quality: 85,
             coarse: true,
+            exact: false,
+            stages: FrameStages {
+                input_to_render_us: 100,
+                march_wait_us: 10,
+                composite_us: 20,
+                readback_us: 30,
+                ..FrameStages::default()
+            },
             submitted_unix_us: unix_now_us(),
             read_back: Instant::now(),
             pixels: Box::new(CountedPixels {
@@ -125,6 +134,16 @@ fn a_png_is_exact_and_a_jpeg_is_close() {
 }
 
 #[test]
+fn a_codec_without_an_encoder_is_refused_by_name() {
+    assert!(check_codec(Codec::Jpeg).is_ok() && check_codec(Codec::Png).is_ok());
+    let error = check_codec(Codec::H264).expect_err("no encoder");
+    assert_eq!(error.to_string(), "/codec is \"h264\"; allowed: jpeg, png");
+    let rgba = vec![0; FRAME_BYTES];
+    let result = encode_after(&mut Vec::new(), &rgba, size(), Codec::H264, 85);
+    assert!(matches!(result, Err(EncodeError::NoEncoder(Codec::H264))));
+}
+
+#[test]
 fn pixels_that_do_not_fit_the_size_are_refused() {
     let result = encode_after(&mut Vec::new(), &[0; 7], size(), Codec::Jpeg, 85);
     assert!(matches!(
@@ -158,6 +177,18 @@ async fn a_frame_arrives_with_its_header_and_its_pixels_are_given_back() {
             CellId(7),
             true
         )
+    );
+    let stages = read.stages;
+    assert_eq!(
+        (
+            read.key,
+            stages.input_to_render_us,
+            stages.march_wait_us,
+            stages.composite_us,
+            stages.readback_us
+        ),
+        (true, 100, 10, 20, 30),
+        "what the renderer measured is passed on"
     );
     assert!(image::load_from_memory(payload).is_ok());
     assert_eq!(bench.alive.load(Ordering::SeqCst), 0);

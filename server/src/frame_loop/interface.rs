@@ -16,8 +16,8 @@ use crate::gpu::DeviceInventory;
 use crate::quality::QualitySettings;
 use serde::Serialize;
 use skycell_protocol::{
-    Camera, CellId, Codec, FrameSequence, FrameSize, InputSequence, QualityChoice, RendererKind,
-    Scene, Show, Stereo, ViewerId,
+    Camera, CellId, Codec, FrameSequence, FrameSize, FrameStages, InputSequence, QualityChoice,
+    RendererKind, Scene, Show, Stereo, ViewerId,
 };
 use thiserror::Error;
 
@@ -157,6 +157,10 @@ pub struct FinishedFrame {
     pub jpeg_quality: u8,
     /// Some visible part of the sky is not yet at the resolution that was asked for.
     pub coarse: bool,
+    /// Nothing finer comes while the view rests.
+    pub exact: bool,
+    /// How long it took until `read_back`; what comes later is still 0.
+    pub stages: FrameStages,
     /// Wall clock when the composite was submitted to the GPU ([`crate::clock::unix_now_us`]).
     pub submitted_unix_us: u64,
     /// When its pixels had arrived.

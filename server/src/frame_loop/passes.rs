@@ -6,14 +6,14 @@ use super::renderer::{SkyRenderer, frame_key};
 use super::transitions::Stage;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{SphereId, TileRequest, TileUpdate};
-use crate::clock::unix_now_us;
+use crate::clock::{saturating_us, unix_now_us};
 use crate::composite::{Picture, PictureFade, dither_shift, shown_key};
 use crate::gpu::{GpuError, PipelineKey, TimedPass};
 use crate::march::{
     ActiveLayer, BATCH_TILES_MAX, MarchedPixels, PixelStrip, TexelGroup, layer_features,
 };
 use glam::DVec3;
-use skycell_protocol::{CellId, FrameSequence, RendererKind, Scene, ViewerId};
+use skycell_protocol::{CellId, FrameSequence, FrameStages, RendererKind, Scene, ViewerId};
 use skycell_shaders::{Features, Shown, layout};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -185,11 +185,14 @@ impl SkyRenderer {
         self.timing.resolve(&mut encoder);
         self.submit(encoder);
         self.timing.submitted();
-        let submitted_unix_us = unix_now_us();
+        let (submitted_unix_us, submitted) = (unix_now_us(), Instant::now());
+        let mut pending_cells = BTreeMap::new();
         let mut shown_cells = Vec::new();
         let mut done = Vec::new();
         for (id, buffer) in under_way {
-            let coarse = self.viewers.get(&id).is_some_and(|v| self.shows_coarse(v));
+            let shown = self.viewers.get(&id);
+            let coarse = shown.is_some_and(|v| self.shows_coarse(v));
+            let exact = !coarse && shown.is_some_and(|v| self.is_exact(id, v, &mut pending_cells));
             let Some(viewer) = self.viewers.get_mut(&id) else {
                 continue;
             };
@@ -204,6 +207,11 @@ impl SkyRenderer {
                 // A lost device is reported where it is polled.
                 let Some(pixels) = pixels else { return };
                 read_back.fetch_add(1, Ordering::Relaxed);
+                let now = Instant::now();
+                let stages = FrameStages {
+                    readback_us: saturating_us(now.saturating_duration_since(submitted)),
+                    ..FrameStages::default()
+                };
                 sink.deliver(FinishedFrame {
                     viewer: id,
                     sequence,
@@ -215,8 +223,10 @@ impl SkyRenderer {
                     codec: view.codec,
                     jpeg_quality: view.jpeg_quality,
                     coarse,
+                    exact,
+                    stages,
                     submitted_unix_us,
-                    read_back: Instant::now(),
+                    read_back: now,
                     pixels: Box::new(pixels),
                 });
             });
@@ -245,6 +255,33 @@ impl SkyRenderer {
                 .transition
                 .as_ref()
                 .is_some_and(|left| is_coarse(left.from, &left.requests))
+    }
+
+    /// Whether a viewer's picture gets no finer while it rests. What it finds out about cells is kept in `pending`.
+    fn is_exact(
+        &self,
+        id: ViewerId,
+        viewer: &ActiveViewer,
+        pending: &mut BTreeMap<CellId, bool>,
+    ) -> bool {
+        if viewer.transition.is_some()
+            || viewer.approaches.is_some()
+            || viewer.renderer_fade.is_some()
+        {
+            return false;
+        }
+        match viewer.kind {
+            RendererKind::ScreenSpace => !self.screen_space_pending(id),
+            RendererKind::Cached => !*pending
+                .entry(viewer.cell)
+                .or_insert_with(|| self.lacks_samples(viewer.cell)),
+        }
+    }
+
+    /// Whether anything is to be marched of what a cell's viewers see.
+    fn lacks_samples(&self, cell: CellId) -> bool {
+        let spheres = &mut self.caches.spheres_of(cell).map(|(_, sphere)| sphere);
+        spheres.any(|sphere| sphere.pending_samples(self.caches.samples_of(sphere)) > 0)
     }
 
     /// Records a viewer's picture: that of its cell, that of the cell which it leaves, or a mix.

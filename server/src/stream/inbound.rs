@@ -4,7 +4,8 @@ use axum::extract::ws::{Message, WebSocket};
 use futures_util::StreamExt;
 use futures_util::stream::SplitStream;
 use skycell_protocol::message::{
-    Acknowledgement, ClientMessage, ErrorCode, ErrorMessage, ServerMessage, ViewChange,
+    Acknowledgement, ClientMessage, ErrorCode, ErrorMessage, MessageError, ServerMessage,
+    ViewChange,
 };
 use tokio::sync::mpsc;
 use tokio::time::Instant;
@@ -13,6 +14,7 @@ use super::StreamContext;
 use super::end::End;
 use super::pace::{Due, InputPace};
 use crate::clock::unix_now_us;
+use crate::encode::check_codec;
 use crate::frame_loop::interface::{FrameLoopGone, RenderCommand};
 use crate::viewers::Viewer;
 
@@ -101,15 +103,13 @@ impl Inbound<'_> {
 
     fn change_view(&mut self, change: ViewChange) {
         let before = self.viewer.view();
-        let (size, stereo) = match change.size_after(before.size, before.stereo) {
+        let allowed = change
+            .codec
+            .map_or(Ok(()), check_codec)
+            .and_then(|()| change.size_after(before.size, before.stereo));
+        let (size, stereo) = match allowed {
             Ok(after) => after,
-            Err(error) => {
-                return self.answer(ErrorMessage {
-                    code: ErrorCode::BadValue,
-                    message: error.to_string(),
-                    pointer: Some(error.pointer),
-                });
-            }
+            Err(error) => return self.answer(MessageError::from(error).to_message()),
         };
         self.viewer.change_view(|view| {
             view.size = size;

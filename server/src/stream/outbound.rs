@@ -8,7 +8,7 @@ use futures_util::SinkExt;
 use futures_util::stream::SplitSink;
 use skycell_protocol::frame::FrameCodec;
 use skycell_protocol::message::{PickedQuality, ServerMessage, Status};
-use skycell_protocol::{CellId, FrameHeader, FrameSequence, InputSequence};
+use skycell_protocol::{CellId, FrameHeader, FrameSequence, FrameStages, InputSequence};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior, interval_at};
 
@@ -108,6 +108,8 @@ impl Outbound<'_> {
             heartbeat: true,
             coarse: self.last.is_some_and(|last| last.coarse),
             stereo: self.last.is_some_and(|last| last.stereo),
+            key: false,
+            exact: self.last.is_some_and(|last| last.exact),
             sequence: self.last.map_or(FrameSequence(0), |last| last.sequence),
             width: 0,
             height: 0,
@@ -116,10 +118,9 @@ impl Outbound<'_> {
             cell: self.last.map_or(CellId(0), |last| last.cell),
             viewer: self.viewer.id(),
             render_unix_us: unix_now_us(),
-            render_to_encode_us: 0,
-            encode_us: 0,
-            encode_to_send_us: 0,
+            stages: FrameStages::default(),
             payload_bytes: 0,
+            target_kbit_per_s: self.last.map_or(0, |last| last.target_kbit_per_s),
         };
         let message = Bytes::copy_from_slice(&header.encode());
         self.send(Message::Binary(message)).await?;

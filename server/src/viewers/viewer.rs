@@ -35,7 +35,8 @@ impl EncodedFrame {
 
     /// The finished message and its header, which tells how long the frame waited until `now`.
     pub fn into_message(mut self, now: Instant) -> (FrameHeader, Bytes) {
-        self.header.encode_to_send_us = saturating_us(now.saturating_duration_since(self.encoded));
+        self.header.stages.encode_to_send_us =
+            saturating_us(now.saturating_duration_since(self.encoded));
         if let Some(room) = self.message.first_chunk_mut::<FRAME_HEADER_BYTES>() {
             *room = self.header.encode();
         }

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use skycell_protocol::{CellId, FrameSequence, InputSequence, ViewerId};
+use skycell_protocol::{CellId, FrameSequence, FrameStages, InputSequence, ViewerId};
 use skycell_server::clock::unix_now_us;
 use skycell_server::frame_loop::interface::{
     AdapterStats, CellStats, FRAMES_IN_FLIGHT_MAX, FinishedFrame, FrameLoopHandle, FramePixels,
@@ -212,6 +212,8 @@ impl State {
                 codec: state.view.codec,
                 jpeg_quality: state.view.jpeg_quality,
                 coarse: state.composited == 1,
+                exact: state.composited > 1,
+                stages: FrameStages::default(),
                 submitted_unix_us: unix_now_us(),
                 read_back: now,
                 pixels: Box::new(Pixels {

@@ -28,7 +28,7 @@ async fn a_viewer_is_welcomed_and_gets_frames_that_decode() {
             welcome.max_height,
             welcome.frame_header_bytes
         ),
-        (1, 3840, 2160, 64)
+        (1, 3840, 2160, 96)
     );
     let (header, payload) = client.frame().await;
     assert_eq!(
@@ -36,6 +36,7 @@ async fn a_viewer_is_welcomed_and_gets_frames_that_decode() {
         (FrameSequence(1), welcome.viewer)
     );
     assert_eq!((header.codec, header.coarse), (FrameCodec::Png, true));
+    assert_eq!((header.key, header.exact), (true, false));
     assert_eq!((header.width, header.height), (64, 32));
     let picture = image::load_from_memory(&payload).expect("a PNG");
     assert_eq!((picture.width(), picture.height()), (64, 32));
