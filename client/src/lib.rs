@@ -5,6 +5,7 @@
 //! [`record`] and [`load`] are what the binary `skycell` does with them.
 
 pub mod camera_path;
+pub mod clouds_file;
 pub mod connection;
 pub mod http_api;
 pub mod load;

@@ -18,6 +18,7 @@ use thiserror::Error;
 use tokio::time::{Instant, timeout_at};
 
 use crate::camera_path::CameraPath;
+use crate::clouds_file::{CloudsFileError, clouds_of, to_exr};
 use crate::picture::{PictureError, to_png};
 use crate::unix_time::unix_us_now;
 use crate::{Connection, ConnectionError, ConnectionLimits, Event, Frame, ServerAddress};
@@ -28,7 +29,7 @@ pub const RECORDING_FRAMES_MAX: u32 = 99_999;
 /// What to record.
 #[derive(Clone, Debug)]
 pub struct RecordOptions {
-    /// Where to write `frame-00000.png` and so on, and `index.json`.
+    /// Where to write `frame-00000.png` (of clouds alone `.exr`) and so on, and `index.json`.
     pub directory: PathBuf,
     /// The way of the camera.
     pub path: CameraPath,
@@ -40,8 +41,10 @@ pub struct RecordOptions {
     pub size: FrameSize,
     /// Pictures of two eyes, side by side in one file.
     pub stereo: Option<Stereo>,
-    /// PNG for exact pictures, JPEG for a fast connection; files are PNG either way.
+    /// PNG for exact pictures, JPEG for a fast connection, files of which are PNG; or clouds alone, as EXR.
     pub codec: Codec,
+    /// Colour of clouds alone includes the haze in front of them.
+    pub haze: bool,
     /// How good pictures are to be; none for what the scene or the server says.
     pub quality: Option<QualityPreset>,
     /// How long to wait for a picture that is not coarse before a coarse one is taken.
@@ -141,6 +144,14 @@ pub enum RecordError {
         /// What is wrong with it.
         source: PictureError,
     },
+    /// The server sent something else than clouds alone.
+    #[error("frame {frame}: {source}")]
+    Clouds {
+        /// Which.
+        frame: u32,
+        /// What is wrong with it.
+        source: CloudsFileError,
+    },
     /// The server did not show a camera in time.
     #[error("frame {frame}: no picture of its camera within {limit_s} s")]
     NoPicture {
@@ -178,6 +189,7 @@ pub async fn record(
         codec: options.codec,
         quality: options.quality.map(QualityChoice::Preset),
         stereo: options.stereo,
+        haze: options.haze,
         ..Hello::new(options.size, options.fps, first)
     };
     let mut connection = Connection::open(address, hello, ConnectionLimits::default()).await?;
@@ -207,13 +219,8 @@ pub async fn record(
         let frame = stage
             .show(&mut connection, options.path.at(time_s), number, options)
             .await?;
-        let file = format!("frame-{number:05}.png");
-        let png =
-            to_png(&frame.header, frame.payload()).map_err(|source| RecordError::Picture {
-                frame: number,
-                source,
-            })?;
-        write_file(&options.directory.join(&file), &png).await?;
+        let (file, bytes) = file_of(&frame, number, options.codec)?;
+        write_file(&options.directory.join(&file), &bytes).await?;
         index.frames.push(RecordedFrame {
             file,
             time_s,
@@ -289,6 +296,24 @@ impl Stage {
             }
         }
     }
+}
+
+/// The file that a frame becomes: its name and what it holds.
+fn file_of(frame: &Frame, number: u32, codec: Codec) -> Result<(String, Vec<u8>), RecordError> {
+    let (header, payload) = (&frame.header, frame.payload());
+    if codec == Codec::Clouds {
+        let bytes = clouds_of(header, payload).and_then(|clouds| to_exr(&clouds));
+        let bytes = bytes.map_err(|source| RecordError::Clouds {
+            frame: number,
+            source,
+        })?;
+        return Ok((format!("frame-{number:05}.exr"), bytes));
+    }
+    let png = to_png(header, payload).map_err(|source| RecordError::Picture {
+        frame: number,
+        source,
+    })?;
+    Ok((format!("frame-{number:05}.png"), png))
 }
 
 fn acknowledgement(frame: &Frame) -> Acknowledgement {

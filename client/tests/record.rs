@@ -22,6 +22,7 @@ fn options(directory: &Path, turn_deg: f64) -> RecordOptions {
         size: FrameSize::new(32, 18).expect("in range"),
         stereo: None,
         codec: Codec::Png,
+        haze: true,
         quality: None,
         sharp_wait: Duration::from_secs(2),
         frame_timeout: Duration::from_secs(5),
@@ -74,6 +75,48 @@ async fn a_jpeg_stream_is_saved_as_png() {
         .zip(expected)
         .any(|(is, should)| is.abs_diff(should) > 6);
     assert!(!differs);
+}
+
+#[tokio::test]
+async fn clouds_alone_are_saved_as_exr_with_their_transmittance_and_distance() {
+    let server = FakeServer::start(Behaviour::default()).await;
+    let directory = tempfile::tempdir().expect("a directory");
+    let options = RecordOptions {
+        codec: Codec::Clouds,
+        ..options(directory.path(), 100.0)
+    };
+    let index = record(&server.address, &options, &ProgressBar::hidden())
+        .await
+        .expect("a recording");
+    assert_eq!(index.frames[3].file, "frame-00003.exr");
+    let image = exr::prelude::read_all_flat_layers_from_file(
+        directory.path().join(&index.frames[3].file),
+    )
+    .expect("an EXR file");
+    let [layer] = image.layer_data.as_slice() else {
+        panic!("{} layers", image.layer_data.len());
+    };
+    assert_eq!((layer.size.width(), layer.size.height()), (32, 18));
+    let found: Vec<(String, f32)> = layer
+        .channel_data
+        .list
+        .iter()
+        .map(|channel| {
+            let value = channel.sample_data.value_by_flat_index(40).to_f32();
+            (channel.name.to_string(), value)
+        })
+        .collect();
+    let [red, green, blue] = support::CLOUDS_RADIANCE;
+    let expected = [
+        ("A", 0.75),
+        ("B", blue),
+        ("G", green),
+        ("R", red),
+        ("T", 0.25),
+        ("Z", 5_000.0),
+    ]
+    .map(|(name, value)| (name.to_owned(), value));
+    assert_eq!(found, expected);
 }
 
 #[tokio::test]

@@ -87,6 +87,7 @@ impl From<Codec> for FrameCodec {
             Codec::Jpeg => Self::Jpeg,
             Codec::Png => Self::Png,
             Codec::H264 => Self::H264,
+            Codec::Clouds => Self::Clouds,
         }
     }
 }

@@ -9,6 +9,7 @@
 //! have private fields, are made from documents by `TryFrom` and cannot be wrong.
 
 pub mod camera;
+pub mod clouds;
 pub mod frame;
 pub mod id;
 pub mod message;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::ValueError;
+use crate::{Codec, ValueError};
 use crate::read_json::{ReadJson, read_name};
 
 /// What a viewer's frames show.
@@ -216,6 +216,18 @@ impl Show {
             scale,
             cached_only: self.is_of_cache(),
         }
+    }
+
+    /// It, if frames of a codec can show it.
+    ///
+    /// # Errors
+    /// Clouds alone are no picture of anything else.
+    pub fn for_codec(self, codec: Codec) -> Result<Self, ValueError> {
+        if codec == Codec::Clouds && self != Self::Picture {
+            let allowed = "\"picture\" where codec is \"clouds\"";
+            return Err(ValueError::new("/show", &Value::from(self.name()), allowed));
+        }
+        Ok(self)
     }
 
     /// Whether it shows the cache, and says nothing of frames that are made by rays of their own.

@@ -72,6 +72,8 @@ pub enum Codec {
     Png,
     /// A stream in which pictures build on earlier ones.
     H264,
+    /// Clouds alone, as half floats: see [`crate::clouds`].
+    Clouds,
 }
 
 impl ReadJson for Codec {
@@ -83,6 +85,7 @@ impl ReadJson for Codec {
                 ("jpeg", Self::Jpeg),
                 ("png", Self::Png),
                 ("h264", Self::H264),
+                ("clouds", Self::Clouds),
             ],
         )
     }

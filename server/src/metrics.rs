@@ -36,6 +36,8 @@ pub struct Metrics {
     pub encode_jpeg_s: Histogram,
     /// Duration of encoding a PNG.
     pub encode_png_s: Histogram,
+    /// Duration of encoding clouds alone.
+    pub encode_clouds_s: Histogram,
     /// From readback until an encoder takes the frame.
     pub encode_wait_s: Histogram,
     /// From the composite's submission until the client's acknowledgement.
@@ -63,6 +65,7 @@ impl Metrics {
                 histogram!("skycell_encode_seconds", "codec" => "png"),
                 histogram!("skycell_encode_wait_seconds"),
                 histogram!("skycell_frame_age_seconds"),
+                histogram!("skycell_encode_seconds", "codec" => "clouds"),
             )
         });
         Ok(Self {
@@ -75,6 +78,7 @@ impl Metrics {
             encode_png_s: metrics.4,
             encode_wait_s: metrics.5,
             frame_age_s: metrics.6,
+            encode_clouds_s: metrics.7,
         })
     }
 

@@ -477,6 +477,8 @@ gpu_struct! {
         dither_shift: u32,
         /// Columns of one eye's part of the picture.
         eye_width: u32,
+        /// What the light of the old picture is multiplied by to be told as that of the new one (clouds alone).
+        old_scale: f32,
     }
 }
 

@@ -189,6 +189,18 @@ pub enum Tone {
     Neutral,
 }
 
+/// Whether a composite writes clouds alone, for a renderer that has a background of its own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum CloudsAlone {
+    /// It writes the picture.
+    #[default]
+    Off,
+    /// Clouds with the haze in front of them.
+    InHaze,
+    /// Clouds as they are without air in front of them.
+    WithoutHaze,
+}
+
 /// What a kernel is specialised to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Features {
@@ -241,6 +253,8 @@ pub struct Features {
     pub tone: Tone,
     /// What is shown instead of the picture.
     pub shown: Shown,
+    /// Clouds alone instead of the picture (composite, fade).
+    pub clouds_alone: CloudsAlone,
     /// The air is read from tables instead of being a closed formula (composite).
     pub physical_sky: bool,
     /// Clouds throw their shadow into the air that is read from tables (composite).
@@ -278,6 +292,7 @@ impl Default for Features {
             shared_background: false,
             tone: Tone::Aces,
             shown: Shown::Picture,
+            clouds_alone: CloudsAlone::Off,
             physical_sky: false,
             light_shafts: false,
             moon: false,
@@ -322,6 +337,11 @@ impl Features {
                 shared_background: bits & 1 != 0,
                 tone: [Tone::Aces, Tone::Agx, Tone::Neutral][((bits + count) % 3) as usize],
                 shown: Shown::Picture,
+                clouds_alone: [
+                    CloudsAlone::Off,
+                    CloudsAlone::InHaze,
+                    CloudsAlone::WithoutHaze,
+                ][((bits / 2 + count) % 3) as usize],
                 physical_sky: (bits ^ count) & 1 != 0,
                 light_shafts: (bits ^ count) & 3 == 1,
                 moon: bits & 8 != 0,
@@ -384,6 +404,14 @@ impl Features {
                     && self.linear_output
                     && !self.screen_space
                     && self.shown == Shown::Picture,
+            ),
+            (
+                "CLOUDS_ALONE",
+                self.clouds_alone != CloudsAlone::Off && !self.linear_output,
+            ),
+            (
+                "WITHOUT_HAZE",
+                self.clouds_alone == CloudsAlone::WithoutHaze,
             ),
             ("RAY_LIST", self.ray_list),
             ("WINDOW", self.window),
@@ -500,6 +528,10 @@ const MODULES: &[(&str, &str)] = &[
         include_str!("../wgsl/composite/show.wgsl"),
     ),
     (
+        "composite/clouds.wgsl",
+        include_str!("../wgsl/composite/clouds.wgsl"),
+    ),
+    (
         "composite/tone.wgsl",
         include_str!("../wgsl/composite/tone.wgsl"),
     ),
@@ -555,6 +587,11 @@ pub fn compose_edited(
         moon: features.moon && is_picture,
         stars: features.stars && is_picture,
         phase_of_reference: features.phase_of_reference && is_picture,
+        clouds_alone: if is_picture || kernel == Kernel::FadePictures {
+            features.clouds_alone
+        } else {
+            CloudsAlone::Off
+        },
         ..features
     }
     .definitions();

@@ -59,6 +59,39 @@ fn every_view_validates_with_every_density_and_number_of_layers() {
     }
 }
 
+#[test]
+fn clouds_alone_validate_over_every_sky_and_have_no_background() {
+    use skycell_shaders::CloudsAlone;
+    let background = ["background_radiance", "sun_disc_radiance", "moon_disc_radiance", "star_radiance"];
+    for (layers, index) in (0..=4).zip(0..) {
+        for clouds_alone in [CloudsAlone::InHaze, CloudsAlone::WithoutHaze] {
+            for bits in 0..8 {
+                let features = Features {
+                    layers,
+                    clouds_alone,
+                    screen_space: bits & 1 != 0,
+                    physical_sky: bits & 2 != 0,
+                    shared_background: bits & 4 != 0,
+                    light_shafts: bits == 6,
+                    own_phases: index % 2 == 0,
+                    overlap: index % 2 == 1,
+                    ..Features::default()
+                };
+                let module = compose(Kernel::Composite, features).unwrap_or_else(|e| panic!("{e}"));
+                Validator::new(ValidationFlags::all(), CAPABILITIES)
+                    .validate(&module)
+                    .unwrap_or_else(|error| panic!("{features:?}: {error:?}"));
+            }
+            let called = functions_called(Kernel::Composite, Features { layers, clouds_alone, ..Features::default() });
+            for name in background {
+                assert!(!called.contains(name), "{layers} {clouds_alone:?}: {called:?}");
+            }
+        }
+    }
+    let picture = functions_called(Kernel::Composite, Features::default());
+    assert!(picture.contains("sun_disc_radiance"), "{picture:?}");
+}
+
 /// Name without the decoration that linking adds to imported items.
 fn plain_name(decorated: &str) -> &str {
     decorated.split("X_naga_oil").next().unwrap_or(decorated)
@@ -128,6 +161,36 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
     check::<layout::ListedRay>(Kernel::MarchPixels);
     check::<layout::WindowSlice>(Kernel::ResolveWindow);
     check::<layout::Window>(Kernel::ResolveWindow);
+}
+
+/// Names of the functions that a kernel's entry point reaches.
+fn functions_called(kernel: Kernel, features: Features) -> std::collections::BTreeSet<String> {
+    let module = compose(kernel, features).expect("composes");
+    let mut called = std::collections::BTreeSet::new();
+    let mut waiting: Vec<&naga::Function> = module.entry_points.iter().map(|e| &e.function).collect();
+    while let Some(function) = waiting.pop() {
+        let mut blocks = vec![&function.body];
+        while let Some(block) = blocks.pop() {
+            for statement in block {
+                use naga::Statement::{Block, Call, If, Loop, Switch};
+                match statement {
+                    Call { function, .. } => {
+                        let function = &module.functions[*function];
+                        let name = function.name.as_deref().unwrap_or_default();
+                        if called.insert(plain_name(name).to_owned()) {
+                            waiting.push(function);
+                        }
+                    }
+                    Block(inner) => blocks.push(inner),
+                    If { accept, reject, .. } => blocks.extend([accept, reject]),
+                    Loop { body, continuing, .. } => blocks.extend([body, continuing]),
+                    Switch { cases, .. } => blocks.extend(cases.iter().map(|case| &case.body)),
+                    _ => {}
+                }
+            }
+        }
+    }
+    called
 }
 
 /// Names of a kernel's functions.

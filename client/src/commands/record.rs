@@ -16,6 +16,7 @@ const EXAMPLES: &str = "\
 Examples:
   skycell record --url ws://127.0.0.1:8080/ws --out out/turn --frames 48
   skycell record --url ws://127.0.0.1:8080/ws --out out/pair --frames 48 --stereo 0.064
+  skycell record --url ws://127.0.0.1:8080/ws --out out/clouds --frames 48 --codec clouds
   skycell record --url ws://127.0.0.1:8080/ws --out out/flight --path flight.json --fps 30
 
 A camera path is a JSON list of keys in order of time; between two keys every number goes in a
@@ -25,7 +26,7 @@ straight line (a yaw from 0 to 360 is a full turn):
 
 Time goes by frames: each picture is waited for, so a slow server does not make larger steps.";
 
-/// Follows a camera path and saves every picture as PNG, with an index.json of their headers.
+/// Follows a camera path and saves every picture as PNG, or clouds alone as EXR, with an index.json of their headers.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Arguments {
@@ -50,9 +51,12 @@ pub(crate) struct Arguments {
     /// Frames per second of the path's time.
     #[arg(long, default_value_t = 24.0)]
     fps: f64,
-    /// How pictures travel; files are PNG either way.
+    /// How pictures travel: files are PNG; or clouds alone, for another renderer, as EXR: R, G, B, A = 1 - T, T, Z in metres.
     #[arg(long, value_enum, default_value = "png")]
     codec: CodecArgument,
+    /// Clouds alone without the haze in front of them.
+    #[arg(long)]
+    without_haze: bool,
     /// Pictures of two eyes so far apart, metres, side by side in one file; width and height are those of one eye.
     #[arg(long, value_name = "M", allow_negative_numbers = true)]
     stereo: Option<f64>,
@@ -76,6 +80,8 @@ enum CodecArgument {
     Jpeg,
     /// Exact.
     Png,
+    /// Clouds alone.
+    Clouds,
 }
 
 const DEFAULT_FRAMES: u32 = 120;
@@ -153,7 +159,9 @@ fn options(arguments: Arguments) -> anyhow::Result<RecordOptions> {
         codec: match arguments.codec {
             CodecArgument::Jpeg => Codec::Jpeg,
             CodecArgument::Png => Codec::Png,
+            CodecArgument::Clouds => Codec::Clouds,
         },
+        haze: !arguments.without_haze,
         quality: arguments.quality.map(QualityArgument::preset),
         sharp_wait: wait("--sharp-wait-s", arguments.sharp_wait_s)?,
         frame_timeout: wait("--timeout-s", arguments.timeout_s)?,

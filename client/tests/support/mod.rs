@@ -24,6 +24,7 @@ use skycell_protocol::frame::FrameHeader;
 use skycell_protocol::message::{
     ClientMessage, ErrorCode, ErrorMessage, Hello, ServerMessage, Welcome,
 };
+use skycell_protocol::clouds::CloudsHeader;
 use skycell_protocol::{
     Camera, CellId, Codec, FrameSequence, FrameSize, FrameStages, InputSequence, PROTOCOL_VERSION,
     RendererKind, SUBPROTOCOL, ViewerId,
@@ -142,12 +143,35 @@ fn picture(hello: &Hello, camera: &Camera) -> Vec<u8> {
         Codec::Jpeg => ImageFormat::Jpeg,
         Codec::Png => ImageFormat::Png,
         Codec::H264 => unreachable!("no test asks the fake for video"),
+        Codec::Clouds => return clouds(size),
     };
     let mut file = Cursor::new(Vec::new());
     pixels
         .write_to(&mut file, format)
         .expect("an encodable picture");
     file.into_inner()
+}
+
+/// Radiance of the fake's clouds, at pre-exposure 4: half floats 8, 4 and 2.
+pub(crate) const CLOUDS_RADIANCE: [f32; 3] = [2.0, 1.0, 0.5];
+
+/// Clouds of transmittance 1/4 at 5 km.
+fn clouds(size: FrameSize) -> Vec<u8> {
+    let header = CloudsHeader {
+        width: size.width(),
+        height: size.height(),
+        pre_exposure: 4.0,
+        haze: true,
+    };
+    let pixel = [0x4800u16, 0x4400, 0x4000, 0x3400, 0x4500, 0].map(u16::to_le_bytes);
+    let mut payload = Vec::new();
+    skycell_protocol::clouds::append(
+        &mut payload,
+        &header,
+        &pixel.as_flattened().repeat(size.pixels() as usize),
+    )
+    .expect("clouds");
+    payload
 }
 
 async fn websocket(State(world): State<Arc<Mutex<World>>>, upgrade: WebSocketUpgrade) -> Response {

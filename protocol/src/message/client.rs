@@ -52,6 +52,8 @@ pub struct Hello {
     /// Frames hold the pictures of two eyes side by side.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stereo: Option<Stereo>,
+    /// Colour of clouds alone includes the haze in front of them.
+    pub haze: bool,
 }
 
 impl Hello {
@@ -68,6 +70,7 @@ impl Hello {
             quality: None,
             show: Show::default(),
             stereo: None,
+            haze: true,
         }
     }
 }
@@ -108,6 +111,9 @@ pub struct ViewChange {
     /// Two eyes, or null for one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stereo: Option<Option<Stereo>>,
+    /// Whether colour of clouds alone is to include the haze in front of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub haze: Option<bool>,
 }
 
 impl ViewChange {
@@ -127,6 +133,15 @@ impl ViewChange {
             self.height.unwrap_or(size.height()),
         )?;
         Ok((size.for_eyes(stereo)?, stereo))
+    }
+
+    /// What is shown, and by which codec, after this change of both.
+    ///
+    /// # Errors
+    /// Names what the codec cannot show.
+    pub fn show_after(&self, show: Show, codec: Codec) -> Result<(Show, Codec), ValueError> {
+        let codec = self.codec.unwrap_or(codec);
+        Ok((self.show.unwrap_or(show).for_codec(codec)?, codec))
     }
 }
 
@@ -251,8 +266,10 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         "quality",
         "show",
         "stereo",
+        "haze",
     ])?;
     let stereo = members.member_or("stereo", None)?;
+    let codec = members.required("codec", "\"jpeg\", \"png\" or \"clouds\"")?;
     Ok(Hello {
         protocol,
         size: FrameSize::new(
@@ -264,13 +281,16 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
             "/fps",
             members.required("fps", &FRAMES_PER_SECOND.to_string())?,
         )?,
-        codec: members.required("codec", "\"jpeg\" or \"png\"")?,
+        codec,
         jpeg_quality: read_jpeg_quality(members)?.unwrap_or_default(),
         camera: members.required("camera", "a camera")?,
         renderer: members.member_or("renderer", RendererKind::default())?,
         quality: members.member_or("quality", None)?,
-        show: members.member_or("show", Show::default())?,
+        show: members
+            .member_or("show", Show::default())?
+            .for_codec(codec)?,
         stereo,
+        haze: members.member_or("haze", true)?,
     })
 }
 
@@ -300,6 +320,7 @@ fn read_view_change(members: &ObjectReader<'_>) -> Result<ViewChange, ValueError
         "quality",
         "show",
         "stereo",
+        "haze",
     ])?;
     let change = ViewChange {
         width: members.optional("width")?,
@@ -313,6 +334,7 @@ fn read_view_change(members: &ObjectReader<'_>) -> Result<ViewChange, ValueError
         quality: members.optional("quality")?,
         show: members.optional("show")?,
         stereo: members.optional("stereo")?,
+        haze: members.optional("haze")?,
     };
     // Whatever the other side is, each named side must be in range.
     change.size_after(FrameSize::new(1, 1)?, None)?;

@@ -1,6 +1,6 @@
 //! The pass that mixes the pictures of two view cells for a viewer who goes from one to the other.
 
-use super::Picture;
+use super::{Picture, PictureFormat, clouds_key};
 use crate::gpu::{Gpu, PipelineKey, Pipelines, TimedPass, TimingRing};
 use skycell_protocol::FrameSize;
 use skycell_shaders::{Features, Kernel, layout};
@@ -13,9 +13,19 @@ const GROUP_ROWS: u32 = 8;
 /// The pass that mixes two pictures.
 #[must_use]
 pub fn fade_key() -> PipelineKey {
-    PipelineKey {
+    fade_key_of(PictureFormat::Display)
+}
+
+/// The pass that mixes two pictures of a format.
+#[must_use]
+pub fn fade_key_of(format: PictureFormat) -> PipelineKey {
+    let key = PipelineKey {
         kernel: Kernel::FadePictures,
         features: Features::default(),
+    };
+    match format {
+        PictureFormat::Clouds => clouds_key(key, true),
+        PictureFormat::Display | PictureFormat::Linear => key,
     }
 }
 
@@ -32,7 +42,7 @@ impl PictureFade {
     #[must_use]
     pub fn new(gpu: &Gpu, pipelines: &Pipelines, picture: &Picture) -> Self {
         let (eye_size, eyes) = picture.eyes();
-        let old = Picture::of_eyes(gpu, pipelines, eye_size, eyes, false);
+        let old = Picture::of_format(gpu, pipelines, eye_size, eyes, picture.format(), None);
         let uniform = gpu.uniform_buffer("fade", size_of::<layout::Fade>());
         let buffers = [&uniform, old.pixels(), picture.pixels()];
         Self {
@@ -42,10 +52,10 @@ impl PictureFade {
         }
     }
 
-    /// Bytes on the device of a picture of a size.
+    /// Bytes on the device of a picture of a size and format.
     #[must_use]
-    pub fn bytes_of(size: FrameSize) -> u64 {
-        u64::from(size.pixels()) * 4
+    pub fn bytes_of(size: FrameSize, format: PictureFormat) -> u64 {
+        u64::from(size.pixels()) * format.pixel_bytes()
     }
 
     /// Where the old cell's picture is to be composited.
@@ -55,7 +65,8 @@ impl PictureFade {
     }
 
     /// Records the mix into the new picture, after both were composited. `share` is that of the new one; squares of
-    /// 2^`dither_shift` pixels are rounded alike.
+    /// 2^`dither_shift` pixels are rounded alike. `old_scale`: pre-exposure of the new picture in that of the old one, where
+    /// they show clouds alone.
     pub fn record(
         &self,
         gpu: &Gpu,
@@ -64,8 +75,9 @@ impl PictureFade {
         pipelines: &Pipelines,
         share: f64,
         dither_shift: u32,
+        old_scale: f32,
     ) {
-        let Some(pipeline) = pipelines.get(fade_key()) else {
+        let Some(pipeline) = pipelines.get(fade_key_of(self.old.format())) else {
             return;
         };
         let (eye_size, eyes) = self.old.eyes();
@@ -76,6 +88,7 @@ impl PictureFade {
             height,
             dither_shift,
             eye_width: eye_size.width(),
+            old_scale,
         };
         gpu.queue
             .write_buffer(&self.uniform, 0, bytemuck::bytes_of(&fade));

@@ -1,9 +1,11 @@
 //! The pass that makes one viewer's picture: intersect, read, colour, blend back to front, tone map, dither.
 
+mod clouds;
 mod fade;
 mod inspect;
 
-pub use fade::{PictureFade, fade_key};
+pub use clouds::{CLOUDS_PIXEL_BYTES, clouds_key, pre_exposure};
+pub use fade::{PictureFade, fade_key, fade_key_of};
 pub use inspect::{InspectionInputs, Inspections, inspect_key, shown_key, shown_of};
 
 use crate::cache::ViewFrustum;
@@ -112,7 +114,7 @@ pub fn view_frustum(camera: &Camera, size: FrameSize, frame: &CellFrame) -> View
 #[must_use]
 pub fn dither_shift(codec: Codec) -> u32 {
     match codec {
-        Codec::Png => 0,
+        Codec::Png | Codec::Clouds => 0,
         Codec::Jpeg | Codec::H264 => 3,
     }
 }
@@ -211,10 +213,43 @@ pub struct CompositeInputs<'a> {
     pub ground_radius_m: Option<f64>,
 }
 
+/// What a pixel of a picture is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PictureFormat {
+    /// Red, green, blue and alpha, tone-mapped, 8 bits each.
+    Display,
+    /// Linear radiance of red, green and blue and 1, in f32.
+    Linear,
+    /// Clouds alone, half floats: see [`skycell_protocol::clouds`].
+    Clouds,
+}
+
+impl PictureFormat {
+    /// That of a codec's frames.
+    #[must_use]
+    pub fn of(codec: Codec) -> Self {
+        match codec {
+            Codec::Clouds => Self::Clouds,
+            _ => Self::Display,
+        }
+    }
+
+    /// Bytes of a pixel.
+    #[must_use]
+    pub fn pixel_bytes(self) -> u64 {
+        match self {
+            Self::Display => 4,
+            Self::Linear => 16,
+            Self::Clouds => CLOUDS_PIXEL_BYTES as u64,
+        }
+    }
+}
+
 /// Where a viewer's picture is written.
 #[derive(Debug)]
 pub struct Picture {
     pixels: wgpu::Buffer,
+    format: PictureFormat,
     /// One, or the left and the right one.
     eyes: Vec<EyeParts>,
     /// Of one eye's part.
@@ -296,8 +331,26 @@ impl Picture {
         linear: bool,
         rays: Option<&wgpu::Buffer>,
     ) -> Self {
+        let format = if linear {
+            PictureFormat::Linear
+        } else {
+            PictureFormat::Display
+        };
+        Self::of_format(gpu, pipelines, eye_size, eyes, format, rays)
+    }
+
+    /// A picture of a format, of so many eyes and of listed rays, if there are any.
+    #[must_use]
+    pub fn of_format(
+        gpu: &Gpu,
+        pipelines: &Pipelines,
+        eye_size: FrameSize,
+        eyes: usize,
+        format: PictureFormat,
+        rays: Option<&wgpu::Buffer>,
+    ) -> Self {
         let pixels = u64::from(eye_size.pixels()) * eyes as u64;
-        let bytes = pixels * if linear { 16 } else { 4 };
+        let bytes = pixels * format.pixel_bytes();
         // Where there is nothing to inspect, black is copied to it.
         let usage = wgpu::BufferUsages::STORAGE
             | wgpu::BufferUsages::COPY_SRC
@@ -311,8 +364,15 @@ impl Picture {
         Self {
             eyes: (0..eyes).map(parts).collect(),
             pixels,
+            format,
             eye_size,
         }
+    }
+
+    /// What its pixels are.
+    #[must_use]
+    pub fn format(&self) -> PictureFormat {
+        self.format
     }
 
     /// Size of one eye's part of the picture, and how many eyes it has.

@@ -2,6 +2,7 @@
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
+use skycell_protocol::clouds::{self, CloudsError, CloudsHeader};
 use skycell_protocol::{Codec, FrameSize, ValueError};
 use thiserror::Error;
 
@@ -30,13 +31,19 @@ pub enum EncodeError {
     /// A codec that this server has no encoder for.
     #[error("there is no encoder for {}", codec_name(*.0))]
     NoEncoder(Codec),
+    /// Clouds alone are no picture.
+    #[error("clouds alone are no picture of red, green and blue")]
+    NoPicture,
+    /// They are no clouds.
+    #[error("clouds: {0}")]
+    Clouds(#[from] CloudsError),
     /// The picture is longer than a frame header can tell.
     #[error("a picture of {0} bytes is too long")]
     TooLong(usize),
 }
 
-/// The codecs that [`encode_after`] knows.
-const CODECS: [Codec; 2] = [Codec::Jpeg, Codec::Png];
+/// The codecs that there are encoders for.
+const CODECS: [Codec; 3] = [Codec::Jpeg, Codec::Png, Codec::Clouds];
 
 /// The codec as the wire calls it.
 fn codec_name(codec: Codec) -> &'static str {
@@ -44,6 +51,7 @@ fn codec_name(codec: Codec) -> &'static str {
         Codec::Jpeg => "jpeg",
         Codec::Png => "png",
         Codec::H264 => "h264",
+        Codec::Clouds => "clouds",
     }
 }
 
@@ -103,6 +111,19 @@ pub fn encode_after(
             )?;
         }
         Codec::H264 => return Err(EncodeError::NoEncoder(codec)),
+        Codec::Clouds => return Err(EncodeError::NoPicture),
     }
     Ok(())
+}
+
+/// Appends clouds alone to `out`.
+///
+/// # Errors
+/// If the pixels do not fit what the header says.
+pub fn encode_clouds_after(
+    out: &mut Vec<u8>,
+    pixels: &[u8],
+    header: &CloudsHeader,
+) -> Result<(), EncodeError> {
+    Ok(clouds::append(out, header, pixels)?)
 }

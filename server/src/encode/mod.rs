@@ -10,7 +10,7 @@ use std::time::Instant;
 
 use skycell_protocol::{Codec, FrameHeader, FrameStages};
 
-pub use codec::{EncodeError, check_codec, encode_after};
+pub use codec::{EncodeError, check_codec, encode_after, encode_clouds_after};
 
 use crate::clock::saturating_us;
 use crate::frame_loop::interface::{FinishedFrame, FrameSink};
@@ -99,13 +99,17 @@ fn encode(frame: FinishedFrame, metrics: &Metrics) -> Result<EncodedFrame, Encod
     let waited = started.saturating_duration_since(frame.read_back);
     metrics.encode_wait_s.record(waited);
     let mut message = vec![0; FRAME_HEADER_BYTES];
-    encode_after(
-        &mut message,
-        frame.pixels.rgba(),
-        frame.size,
-        frame.codec,
-        frame.jpeg_quality,
-    )?;
+    let pixels = frame.pixels.rgba();
+    match &frame.clouds {
+        Some(header) => encode_clouds_after(&mut message, pixels, header)?,
+        None => encode_after(
+            &mut message,
+            pixels,
+            frame.size,
+            frame.codec,
+            frame.jpeg_quality,
+        )?,
+    }
     let encoded = Instant::now();
     let encode_time = encoded.saturating_duration_since(started);
     match frame.codec {
@@ -113,6 +117,7 @@ fn encode(frame: FinishedFrame, metrics: &Metrics) -> Result<EncodedFrame, Encod
         Codec::Png => metrics.encode_png_s.record(encode_time),
         // No encoder makes it.
         Codec::H264 => {}
+        Codec::Clouds => metrics.encode_clouds_s.record(encode_time),
     }
     let header = FrameHeader {
         codec: frame.codec.into(),

@@ -66,6 +66,7 @@ impl Bench {
             quality: None,
             show: skycell_protocol::Show::Picture,
             stereo: None,
+            haze: true,
         };
         self.registry.join(view).expect("room")
     }
@@ -88,6 +89,7 @@ impl Bench {
             stereo: false,
             codec: Codec::Png,
             jpeg_quality: 85,
+            clouds: None,
             coarse: true,
             exact: false,
             stages: FrameStages {

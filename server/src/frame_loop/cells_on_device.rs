@@ -86,6 +86,8 @@ pub(super) struct ActiveCell {
     is_late: bool,
     /// How far what its texels show may be seen from elsewhere than the reference because of the wind, rad.
     wind_lag_rad: f64,
+    /// That of its viewers' pictures, as the shaders have it.
+    pub(super) exposure: f32,
     /// Of a cell that is shown as it was before it became another: which one, and its exposure.
     pub(super) stands_for: Option<(CellId, f64)>,
 }
@@ -197,6 +199,7 @@ impl SkyRenderer {
             came_from_m: reference_m,
             is_late: false,
             wind_lag_rad: 0.0,
+            exposure: 1.0,
             stands_for: None,
         }
     }
@@ -468,6 +471,7 @@ impl SkyRenderer {
             uniform.proxies[place] = proxy.uniform(&cell.frame, anchors[proxy.layer]);
         }
         uniform.exposure *= cell.auto_exposure_ev().exp2() as f32;
+        cell.exposure = uniform.exposure;
         cell.buffers.set_scene(&self.gpu, &uniform);
         let drifted = windy && cell.looked_up.elapsed() >= REQUESTS_INTERVAL;
         if cell.requests_changed || drifted {

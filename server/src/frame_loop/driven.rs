@@ -57,6 +57,7 @@ pub(super) fn view(size: [u32; 2], camera: Camera) -> ViewRequest {
         quality: None,
         show: Show::Picture,
         stereo: None,
+        haze: true,
     }
 }
 

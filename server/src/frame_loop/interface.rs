@@ -15,6 +15,7 @@ use crate::audit::AuditStats;
 use crate::gpu::DeviceInventory;
 use crate::quality::QualitySettings;
 use serde::Serialize;
+use skycell_protocol::clouds::CloudsHeader;
 use skycell_protocol::{
     Camera, CellId, Codec, FrameSequence, FrameSize, FrameStages, InputSequence, QualityChoice,
     RendererKind, Scene, Show, Stereo, ViewerId,
@@ -51,6 +52,8 @@ pub struct ViewRequest {
     pub show: Show,
     /// Two eyes around the camera instead of one at its place.
     pub stereo: Option<Stereo>,
+    /// Colour of clouds alone includes the haze in front of them.
+    pub haze: bool,
 }
 
 impl ViewRequest {
@@ -131,7 +134,8 @@ pub enum RenderCommand {
 /// Pixels of a finished frame, usually mapped GPU memory. Dropping them gives the buffer back to
 /// the ring that it came from.
 pub trait FramePixels: Send {
-    /// Red, green, blue, alpha; 8 bits each, sRGB; rows from top to bottom without padding.
+    /// Red, green, blue, alpha; 8 bits each, sRGB; rows from top to bottom without padding. Of clouds alone what
+    /// [`skycell_protocol::clouds::append`] takes.
     fn rgba(&self) -> &[u8];
 }
 
@@ -155,6 +159,8 @@ pub struct FinishedFrame {
     pub codec: Codec,
     /// Quality, if it is to be a JPEG, 1 to 100.
     pub jpeg_quality: u8,
+    /// What clouds alone say of themselves.
+    pub clouds: Option<CloudsHeader>,
     /// Some visible part of the sky is not yet at the resolution that was asked for.
     pub coarse: bool,
     /// Nothing finer comes while the view rests.
@@ -165,7 +171,7 @@ pub struct FinishedFrame {
     pub submitted_unix_us: u64,
     /// When its pixels had arrived.
     pub read_back: Instant,
-    /// `size.pixels() * 4` bytes.
+    /// `size.pixels() * 4` bytes, or three times as many of clouds alone.
     pub pixels: Box<dyn FramePixels>,
 }
 

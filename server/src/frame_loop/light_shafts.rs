@@ -491,6 +491,7 @@ mod tests {
                 quality: None,
                 show: Show::Picture,
                 stereo: None,
+                haze: true,
             },
         );
         renderer.refresh_cells();

@@ -5,6 +5,7 @@ mod auditing;
 mod awaited_scene;
 mod budgets;
 mod cells_on_device;
+mod clouds;
 mod domes_on_device;
 #[cfg(test)]
 mod driven;
@@ -24,6 +25,7 @@ mod sky_time;
 mod stats;
 
 mod still;
+mod still_clouds;
 mod still_followed;
 mod still_frames;
 mod still_living;
@@ -37,6 +39,7 @@ mod views;
 pub use auditing::AuditedTexel;
 pub use pacing::FrameLoop;
 pub use still::StillRenderer;
+pub use still_clouds::StillClouds;
 pub use still_frames::{FrameCosts, FrameFigures, StillFrame};
 pub use still_living::LivingViewers;
 pub use still_settings::{

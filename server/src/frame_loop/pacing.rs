@@ -416,7 +416,7 @@ impl FrameLoop {
                 self.renderer.viewers.get(id).is_some_and(|viewer| {
                     // Screen-space pictures are composited when a sample is complete.
                     viewer.kind == RendererKind::Cached
-                        && viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX
+                        && self.has_room(viewer)
                         && self.due_at(pace).is_some_and(|due| due <= now)
                         && !self.renderer.waits_for_tiles(viewer)
                 })
@@ -633,7 +633,7 @@ impl FrameLoop {
                 .renderer
                 .viewers
                 .get(&id)
-                .is_some_and(|viewer| viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX);
+                .is_some_and(|viewer| self.has_room(viewer));
             let seen = self
                 .paces
                 .get(&id)
@@ -671,6 +671,11 @@ impl FrameLoop {
         }
     }
 
+    /// Whether a viewer can be sent another frame.
+    fn has_room(&self, viewer: &ActiveViewer) -> bool {
+        viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX && !self.renderer.waits_for_clouds(viewer)
+    }
+
     /// When the next frame is due of those whose viewers have room for one.
     fn next_due(&self) -> Option<Instant> {
         self.paces
@@ -679,7 +684,7 @@ impl FrameLoop {
                 self.renderer
                     .viewers
                     .get(id)
-                    .is_some_and(|viewer| viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX)
+                    .is_some_and(|viewer| self.has_room(viewer))
             })
             .filter_map(|(_, pace)| self.due_at(pace))
             .min()

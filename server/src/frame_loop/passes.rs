@@ -1,5 +1,6 @@
 //! What is submitted to the device: batches of texels, strips of pixels, frames and their way back.
 
+use super::clouds::of_codec;
 use super::eyes::EyesPicture;
 use super::interface::{FinishedFrame, FrameSink};
 use super::renderer::{SkyRenderer, frame_key};
@@ -13,7 +14,8 @@ use crate::march::{
     ActiveLayer, BATCH_TILES_MAX, MarchedPixels, PixelStrip, TexelGroup, layer_features,
 };
 use glam::DVec3;
-use skycell_protocol::{CellId, FrameSequence, FrameStages, RendererKind, Scene, ViewerId};
+use skycell_protocol::clouds::CloudsHeader;
+use skycell_protocol::{CellId, Codec, FrameSequence, FrameStages, RendererKind, Scene, ViewerId};
 use skycell_shaders::{Features, Shown, layout};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -173,9 +175,9 @@ impl SkyRenderer {
                 continue;
             };
             if let Some(buffer) = viewer.ring.take(&self.gpu)
-                && self.record_frame(&mut encoder, &viewer, &buffer).is_some()
+                && let Some(pre_exposure) = self.record_frame(&mut encoder, &viewer, &buffer)
             {
-                under_way.push((*id, buffer));
+                under_way.push((*id, buffer, pre_exposure));
             }
             self.viewers.insert(*id, viewer);
         }
@@ -189,7 +191,7 @@ impl SkyRenderer {
         let mut pending_cells = BTreeMap::new();
         let mut shown_cells = Vec::new();
         let mut done = Vec::new();
-        for (id, buffer) in under_way {
+        for (id, buffer, pre_exposure) in under_way {
             let shown = self.viewers.get(&id);
             let coarse = shown.is_some_and(|v| self.shows_coarse(v));
             let exact = !coarse && shown.is_some_and(|v| self.is_exact(id, v, &mut pending_cells));
@@ -222,6 +224,12 @@ impl SkyRenderer {
                     stereo: view.stereo.is_some(),
                     codec: view.codec,
                     jpeg_quality: view.jpeg_quality,
+                    clouds: (view.codec == Codec::Clouds).then_some(CloudsHeader {
+                        width: view.picture_size().width(),
+                        height: view.picture_size().height(),
+                        pre_exposure,
+                        haze: view.haze,
+                    }),
                     coarse,
                     exact,
                     stages,
@@ -284,13 +292,14 @@ impl SkyRenderer {
         spheres.any(|sphere| sphere.pending_samples(self.caches.samples_of(sphere)) > 0)
     }
 
-    /// Records a viewer's picture: that of its cell, that of the cell which it leaves, or a mix.
+    /// Records a viewer's picture: that of its cell, that of the cell which it leaves, or a mix. Returns its pre-exposure, if
+    /// it shows clouds alone.
     fn record_frame(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         viewer: &ActiveViewer,
         target: &wgpu::Buffer,
-    ) -> Option<()> {
+    ) -> Option<f32> {
         let (shown, _) = self.shown_to(viewer);
         // What says something of the field or the cache itself has no way between two cells.
         let left = viewer
@@ -312,12 +321,16 @@ impl SkyRenderer {
         {
             let (gpu, pipelines) = (&self.gpu, &self.pipelines);
             let (share, shift) = (left.way.share(), dither_shift(viewer.view.codec));
-            fade.record(gpu, encoder, &mut self.timing, pipelines, share, shift);
+            let old_scale = self.pre_exposure_in(viewer.cell) / self.pre_exposure_in(left.from);
+            let timing = &mut self.timing;
+            fade.record(gpu, encoder, timing, pipelines, share, shift, old_scale);
             self.counters.dispatches += 1;
         }
         self.record_renderer_fade(encoder, viewer);
         encoder.copy_buffer_to_buffer(viewer.picture.pixels(), 0, target, 0, target.size());
-        Some(())
+        let shows_old = left.filter(|_| old.is_some() && waits);
+        let shown_in = shows_old.map_or(viewer.cell, |left| left.from);
+        Some(self.pre_exposure_in(shown_in))
     }
 
     /// Records what a viewer sees with the cache of a cell, of which it requests something, or with rays of its own.
@@ -333,6 +346,7 @@ impl SkyRenderer {
         let filter = viewer.quality.settings.frame_filter;
         let blend = self.blend();
         let plain = frame_key(&self.gpu, &self.scene, filter, blend, screen_space);
+        let plain = of_codec(plain, viewer.view.codec, viewer.view.haze);
         let keys: Vec<PipelineKey> = self
             .keys_for(viewer, id, plain)
             .into_iter()

@@ -19,7 +19,7 @@ use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
 use crate::cells::{CellLimit, Cells};
 use crate::clock;
 use crate::composite::{
-    Inspections, Picture, PictureFade, composite_key, fade_key, ground_key, with_parallax,
+    Inspections, Picture, PictureFade, clouds_key, composite_key, fade_key, ground_key, with_parallax,
     with_shared_background,
 };
 use crate::config::{FrameFilter, PlacedCell, RenderConfig};
@@ -339,8 +339,13 @@ impl SkyRenderer {
                 }
             }
         }
+        keys.extend(self.clouds_keys(scene, blend));
         if self.somebody_looks_down() {
-            keys.extend(self.above_keys(scene));
+            let above = self.above_keys(scene);
+            for haze in self.clouds_asked() {
+                keys.extend(above.iter().map(|key| clouds_key(*key, haze)));
+            }
+            keys.extend(above);
         }
         if scene.physical_air().is_some() {
             keys.extend(table_keys());
@@ -429,6 +434,7 @@ impl SkyRenderer {
                     quality: None,
                     show: skycell_protocol::Show::Picture,
                     stereo: None,
+                    haze: true,
                 },
             );
             self.refresh_cells();
@@ -474,7 +480,7 @@ impl SkyRenderer {
                 label: Some("fade"),
             });
         let (gpu, pipelines) = (&self.gpu, &self.pipelines);
-        fade.record(gpu, &mut encoder, &mut self.timing, pipelines, 0.5, 0);
+        fade.record(gpu, &mut encoder, &mut self.timing, pipelines, 0.5, 0, 1.0);
         self.timing.resolve(&mut encoder);
         self.submit(encoder);
         self.timing.submitted();

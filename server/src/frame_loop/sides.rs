@@ -5,6 +5,7 @@
 mod tests;
 
 use super::cells_on_device::ActiveCell;
+use super::clouds::of_codec;
 use super::interface::ViewRequest;
 use super::renderer::{SkyRenderer, frame_key};
 use super::transitions::PICTURES_BYTES_MAX;
@@ -14,7 +15,7 @@ use crate::composite::{PictureFade, dither_shift, with_above, with_parallax};
 use crate::config::FrameFilter;
 use crate::gpu::PipelineKey;
 use crate::march::{LayerBlend, Side, active_layers, layer_bounds_m};
-use skycell_protocol::{Camera, CellId, RendererKind, Scene, ViewerId};
+use skycell_protocol::{Camera, CellId, Codec, RendererKind, Scene, ViewerId};
 
 /// From rays back to the cache, a camera goes this far out of a layer, m.
 const RETURN_MARGIN_M: f64 = 50.0;
@@ -30,6 +31,8 @@ pub(super) struct RendererFade {
     fade: PictureFade,
     /// Share of the cache's picture.
     share: f64,
+    /// Of the kept picture, where it shows clouds alone.
+    pre_exposure: f32,
     /// From where the last picture was seen. Motion hides the change, and it would be seen twice.
     camera: Camera,
 }
@@ -38,7 +41,7 @@ impl SkyRenderer {
     /// Keeps a viewer's last picture by rays, to be mixed with those of the cache that follow. None where it has none.
     pub(super) fn renderer_fade(&mut self, id: ViewerId) -> Option<RendererFade> {
         let viewer = self.viewers.get(&id)?;
-        let bytes = PictureFade::bytes_of(viewer.view.picture_size());
+        let bytes = PictureFade::bytes_of(viewer.view.picture_size(), viewer.picture.format());
         let is_seen = viewer.frames_composited > 0
             && viewer.shown_camera == viewer.view.camera
             && viewer.transition.is_none();
@@ -52,10 +55,12 @@ impl SkyRenderer {
         let (from, to) = (viewer.picture.pixels(), fade.old().pixels());
         encoder.copy_buffer_to_buffer(from, 0, to, 0, to.size());
         let camera = viewer.shown_camera;
+        let pre_exposure = self.pre_exposure_in(viewer.cell);
         self.submit(encoder);
         Some(RendererFade {
             fade,
             share: 0.0,
+            pre_exposure,
             camera,
         })
     }
@@ -87,7 +92,9 @@ impl SkyRenderer {
         if let Some(way) = &viewer.renderer_fade {
             let (gpu, pipelines) = (&self.gpu, &self.pipelines);
             let shift = dither_shift(viewer.view.codec);
-            (way.fade).record(gpu, encoder, &mut self.timing, pipelines, way.share, shift);
+            let old_scale = self.pre_exposure_in(viewer.cell) / way.pre_exposure;
+            let timing = &mut self.timing;
+            (way.fade).record(gpu, encoder, timing, pipelines, way.share, shift, old_scale);
             self.counters.dispatches += 1;
         }
     }
@@ -170,6 +177,17 @@ impl SkyRenderer {
         FrameFilter::ALL.into_iter().flat_map(of_filter).collect()
     }
 
+    /// The same as a view's codec needs it.
+    fn above_keys_of(&self, view: &ViewRequest) -> Vec<PipelineKey> {
+        let mut keys = self.above_keys(&self.scene);
+        if view.codec == Codec::Clouds {
+            let alone = |key: &PipelineKey| of_codec(*key, view.codec, view.haze);
+            let alone: Vec<PipelineKey> = keys.iter().map(alone).collect();
+            keys.extend(alone);
+        }
+        keys
+    }
+
     /// Whether some viewer looks down on a layer, or is about to.
     pub(super) fn somebody_looks_down(&self) -> bool {
         let bounds_m = layer_bounds_m(&self.scene, &self.active);
@@ -184,7 +202,7 @@ impl SkyRenderer {
     pub(super) fn can_be_shown(&self, view: &ViewRequest) -> bool {
         let altitude_m = view.camera.position_m()[1];
         let is_made = |key: PipelineKey| self.pipelines.get(key).is_some();
-        !self.looks_down(altitude_m) || self.above_keys(&self.scene).into_iter().all(is_made)
+        !self.looks_down(altitude_m) || self.above_keys_of(view).into_iter().all(is_made)
     }
 
     /// Has the pipelines of a view that is about to look down on a layer made, beside the frames.
@@ -192,7 +210,7 @@ impl SkyRenderer {
         let altitude_m = view.camera.position_m()[1];
         let sides = self.sides_at(altitude_m);
         if view.renderer == RendererKind::Cached && sides.iter().any(|side| *side != Side::Below) {
-            let keys = self.above_keys(&self.scene);
+            let keys = self.above_keys_of(view);
             self.pipelines.prepare_later(&self.gpu, keys);
         }
     }

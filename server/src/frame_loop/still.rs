@@ -331,6 +331,7 @@ impl StillRenderer {
                 quality: None,
                 show: settings.show,
                 stereo: settings.stereo,
+                haze: true,
             },
         );
         renderer.viewers.get_mut(&VIEWER).is_some_and(|viewer| {

@@ -53,6 +53,7 @@ impl StillRenderer {
                 quality: None,
                 show: settings.show,
                 stereo: None,
+                haze: true,
             };
             renderer.join(*id, view);
         }

@@ -64,6 +64,7 @@ impl StillRenderer {
                 quality: None,
                 show: settings.show,
                 stereo: None,
+                haze: true,
             };
             renderer.join(*id, view);
         }

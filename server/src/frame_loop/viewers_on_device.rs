@@ -8,7 +8,7 @@ use super::screen_space::ScreenSpaceJob;
 use super::sides::RendererFade;
 use super::transitions::Transition;
 use crate::cache::{LEVELS, TEXELS_PER_TILE, TileRequest};
-use crate::composite::{Picture, dither_shift, view_frustum, view_uniform};
+use crate::composite::{Picture, PictureFormat, dither_shift, view_frustum, view_uniform};
 use crate::gpu::{Gpu, Pipelines, ReadbackRing};
 use skycell_protocol::{Camera, CellId, InputSequence, RendererKind, ViewerId};
 use skycell_shaders::layout;
@@ -80,12 +80,14 @@ impl ActiveViewer {
 
 /// The picture of a viewer.
 fn picture_of(gpu: &Gpu, pipelines: &Pipelines, view: &ViewRequest) -> Picture {
-    Picture::of_eyes(gpu, pipelines, view.size, view.eyes().len(), false)
+    let format = PictureFormat::of(view.codec);
+    Picture::of_format(gpu, pipelines, view.size, view.eyes().len(), format, None)
 }
 
 /// Where it is read back.
 fn new_ring(view: &ViewRequest) -> ReadbackRing {
-    let bytes = u64::from(view.picture_size().pixels()) * 4;
+    let pixel_bytes = PictureFormat::of(view.codec).pixel_bytes();
+    let bytes = u64::from(view.picture_size().pixels()) * pixel_bytes;
     ReadbackRing::new(bytes, READBACKS_PER_VIEWER)
 }
 
@@ -203,7 +205,10 @@ impl SkyRenderer {
             return;
         };
         let before = viewer.view;
-        if before.size != view.size || before.stereo.is_some() != view.stereo.is_some() {
+        if before.size != view.size
+            || before.stereo.is_some() != view.stereo.is_some()
+            || PictureFormat::of(before.codec) != PictureFormat::of(view.codec)
+        {
             viewer.picture = picture_of(&self.gpu, &self.pipelines, &view);
             viewer.ring = new_ring(&view);
             viewer.renderer_fade = None;

@@ -2,6 +2,7 @@
 //! are made beside the frames when somebody first asks for them.
 
 use super::cells_on_device::parallax_steps;
+use super::clouds::{self, of_codec};
 use super::renderer::{SkyRenderer, frame_key};
 use super::viewers_on_device::ActiveViewer;
 use crate::composite::{
@@ -10,7 +11,7 @@ use crate::composite::{
 };
 use crate::gpu::PipelineKey;
 use crate::march::layer_features;
-use skycell_protocol::{Camera, CellId, RendererKind, Show, ViewerId};
+use skycell_protocol::{Camera, CellId, Codec, RendererKind, Show, ViewerId};
 use skycell_shaders::Shown;
 
 /// Why a view of the cache shows the picture instead.
@@ -41,13 +42,14 @@ impl SkyRenderer {
 
     /// The composite of a viewer's frames by a renderer, at the reference.
     fn composite_by(&self, viewer: &ActiveViewer, renderer: RendererKind) -> PipelineKey {
-        frame_key(
+        let key = frame_key(
             &self.gpu,
             &self.scene,
             viewer.quality.settings.frame_filter,
             self.blend(),
             renderer == RendererKind::ScreenSpace,
-        )
+        );
+        of_codec(key, viewer.view.codec, viewer.view.haze)
     }
 
     fn frame_keys(&self, viewer: &ActiveViewer, shown: Shown) -> Vec<PipelineKey> {
@@ -59,7 +61,7 @@ impl SkyRenderer {
 
     /// The keys of all that a viewer's frames come to need as it moves: away from its reference, and to where the cache does not
     /// reach.
-    fn possible_keys(&self, viewer: &ActiveViewer, shown: Shown) -> Vec<PipelineKey> {
+    pub(super) fn possible_keys(&self, viewer: &ActiveViewer, shown: Shown) -> Vec<PipelineKey> {
         let mut composites = Vec::new();
         if viewer.view.renderer == RendererKind::Cached {
             let cached = self.composite_by(viewer, RendererKind::Cached);
@@ -120,6 +122,10 @@ impl SkyRenderer {
     /// What a viewer's frames show: what it asks for, or the picture where that says nothing or is not there yet, and why.
     pub(super) fn shown_to(&self, viewer: &ActiveViewer) -> (Shown, Option<&'static str>) {
         let shown = shown_of(viewer.view.show);
+        if viewer.view.codec == Codec::Clouds {
+            let waits = self.waits_for_clouds(viewer);
+            return (Shown::Picture, waits.then_some(clouds::BEING_MADE));
+        }
         if shown == Shown::Picture {
             return (shown, None);
         }
@@ -145,6 +151,7 @@ impl SkyRenderer {
             if shown != Shown::Picture {
                 wanted.extend(self.possible_keys(viewer, shown));
             }
+            wanted.extend(self.own_clouds_keys(viewer));
         }
         if !wanted.is_empty() {
             self.pipelines.prepare_later(&self.gpu, wanted);
@@ -158,7 +165,9 @@ impl SkyRenderer {
         }
         self.viewers
             .iter()
-            .filter(|(_, viewer)| viewer.view.show != Show::Picture)
+            .filter(|(_, viewer)| {
+                viewer.view.show != Show::Picture || viewer.view.codec == Codec::Clouds
+            })
             .map(|(id, _)| *id)
             .collect()
     }

@@ -106,8 +106,9 @@ impl Inbound<'_> {
         let allowed = change
             .codec
             .map_or(Ok(()), check_codec)
-            .and_then(|()| change.size_after(before.size, before.stereo));
-        let (size, stereo) = match allowed {
+            .and_then(|()| change.show_after(before.show, before.codec))
+            .and_then(|shown| Ok((change.size_after(before.size, before.stereo)?, shown)));
+        let ((size, stereo), (show, codec)) = match allowed {
             Ok(after) => after,
             Err(error) => return self.answer(MessageError::from(error).to_message()),
         };
@@ -115,12 +116,13 @@ impl Inbound<'_> {
             view.size = size;
             view.stereo = stereo;
             view.fps = change.fps.unwrap_or(view.fps);
-            view.codec = change.codec.unwrap_or(view.codec);
+            view.codec = codec;
             if let Some(quality) = change.jpeg_quality {
                 view.jpeg_quality = quality.get();
             }
             view.quality = change.quality.unwrap_or(view.quality);
-            view.show = change.show.unwrap_or(view.show);
+            view.show = show;
+            view.haze = change.haze.unwrap_or(view.haze);
         });
         self.pace.view();
     }

@@ -62,6 +62,7 @@ async fn serve(
         quality: hello.quality,
         show: hello.show,
         stereo: hello.stereo,
+        haze: hello.haze,
     };
     let viewer = match context.viewers.join(view) {
         Ok(viewer) => viewer,

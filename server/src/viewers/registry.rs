@@ -132,6 +132,7 @@ mod tests {
             quality: None,
             show: skycell_protocol::Show::Picture,
             stereo: None,
+            haze: true,
         }
     }
 

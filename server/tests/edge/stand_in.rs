@@ -211,6 +211,7 @@ impl State {
                 stereo: state.view.stereo.is_some(),
                 codec: state.view.codec,
                 jpeg_quality: state.view.jpeg_quality,
+                clouds: None,
                 coarse: state.composited == 1,
                 exact: state.composited > 1,
                 stages: FrameStages::default(),

@@ -9,7 +9,13 @@
 #ifdef SHOW_PART
 #import skycell::show::{black_background as background_radiance, part_over as layer_over}
 #else
+#ifdef CLOUDS_ALONE
+#import skycell::show::{black_background as background_radiance}
+#import skycell::shade::layer_over
+#import skycell::clouds::{CloudsSeen, CLOUDS_WORDS, no_clouds_seen, layer_before, clouds_pixel, packed_clouds, power_of_two_below}
+#else
 #import skycell::shade::{background_radiance, layer_over}
+#endif
 #endif
 #endif
 #ifdef SHOW_PHASE_OFF
@@ -204,10 +210,18 @@ fn ordered_layer(world: Scene, back: Background, layer: Layer, cloud: LayerRadia
 #else
     ordered.haze = haze_of_layer(back, distance_seen_m(cloud.opacity_distance_m, cloud.transmittance));
 #endif
+#ifdef WITHOUT_HAZE
+    ordered.haze.extinction_per_m = vec3f(0.0);
+#else
     ordered.haze.extinction_per_m *= layer.has_haze;
+#endif
     ordered.sun_irradiance = sun_on_cloud(world, layer, cloud, ray);
 #else
+#ifdef WITHOUT_HAZE
+    ordered.air_extinction_per_m = vec3f(0.0);
+#else
     ordered.air_extinction_per_m = layer.air_extinction_per_m;
+#endif
 #endif
     ordered.albedo = layer.single_scattering_albedo;
 #ifdef OWN_PHASES
@@ -274,6 +288,11 @@ fn over(world: Scene, back: Background, layer: OrderedLayer, shared_phase_per_sr
 #endif
 }
 
+#ifdef CLOUDS_ALONE
+/// What clouds hide along the ray that was looked along last.
+var<private> clouds_seen: CloudsSeen;
+#endif
+
 /// Radiance that reaches the viewer through the middle of a pixel.
 fn pixel_radiance(world: Scene, eye: View, back: Background, pixel: vec2u) -> vec3f {
     let direction = pixel_direction(eye, vec2f(pixel) + 0.5);
@@ -286,6 +305,9 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
 #ifdef STARS
     let stars = star_radiance(world.night, ray.direction, eye.pixel_angle_rad) * back.transmittance;
     radiance += select(stars, vec3f(0.0), ray.on_ground);
+#endif
+#ifdef CLOUDS_ALONE
+    clouds_seen = no_clouds_seen();
 #endif
 #if LAYERS >= 1
 #ifdef OWN_PHASES
@@ -356,14 +378,26 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
     first = pair.nearer;
     second = pair.farther;
     radiance = over(world, back, fourth, phase, radiance);
+#ifdef CLOUDS_ALONE
+    clouds_seen = layer_before(fourth.cloud, clouds_seen);
+#endif
 #endif
 #if LAYERS >= 3
     radiance = over(world, back, third, phase, radiance);
+#ifdef CLOUDS_ALONE
+    clouds_seen = layer_before(third.cloud, clouds_seen);
+#endif
 #endif
 #if LAYERS >= 2
     radiance = over(world, back, second, phase, radiance);
+#ifdef CLOUDS_ALONE
+    clouds_seen = layer_before(second.cloud, clouds_seen);
+#endif
 #endif
     radiance = over(world, back, first, phase, radiance);
+#ifdef CLOUDS_ALONE
+    clouds_seen = layer_before(first.cloud, clouds_seen);
+#endif
 #endif
     return radiance;
 }
@@ -404,12 +438,21 @@ fn composite(@builtin(global_invocation_id) id: vec3u) {
         if inside { picture[at] = vec4f(radiance, 1.0); }
 #endif
 #else
+#ifdef CLOUDS_ALONE
+        let words = packed_clouds(clouds_pixel(balanced(radiance), power_of_two_below(world.exposure), clouds_seen));
+        if inside {
+            picture[at * CLOUDS_WORDS] = words[0];
+            picture[at * CLOUDS_WORDS + 1u] = words[1];
+            picture[at * CLOUDS_WORDS + 2u] = words[2];
+        }
+#else
 #ifdef SHOW_VALUES
         let bytes = pack4x8unorm(vec4f(colour_of_values(radiance), 1.0));
 #else
         let bytes = dithered_bytes(encoded(balanced(radiance) * world.exposure), pixel >> vec2u(eye.dither_shift));
 #endif
         if inside { picture[at] = bytes; }
+#endif
 #endif
     }
 }

@@ -1,5 +1,9 @@
 // The picture of one view cell on its way to that of another, for a viewer who goes from one to the other.
 
+#ifdef CLOUDS_ALONE
+#import skycell::clouds::{CLOUDS_WORDS, mixed_clouds, packed_clouds, unpacked_clouds}
+#endif
+
 struct Fade {
     /// Share of the new picture, 0...1.
     share: f32,
@@ -9,6 +13,8 @@ struct Fade {
     dither_shift: u32,
     /// Columns of one eye's part of the picture.
     eye_width: u32,
+    /// What the light of the old picture is multiplied by to be told as that of the new one (clouds alone).
+    old_scale: f32,
 }
 
 @group(0) @binding(0) var<uniform> fade: Fade;
@@ -33,8 +39,18 @@ fn mixed(a: u32, b: u32, share: f32, threshold: f32) -> u32 {
 fn fade_pictures(@builtin(global_invocation_id) id: vec3u) {
     let way = fade;
     if id.x >= way.width || id.y >= way.height { return; }
+#ifdef CLOUDS_ALONE
+    let at = (id.y * way.width + id.x) * CLOUDS_WORDS;
+    let old = unpacked_clouds(array<u32, 3>(old_picture[at], old_picture[at + 1u], old_picture[at + 2u]));
+    let late = unpacked_clouds(array<u32, 3>(picture[at], picture[at + 1u], picture[at + 2u]));
+    let words = packed_clouds(mixed_clouds(old, way.old_scale, late, way.share));
+    picture[at] = words[0];
+    picture[at + 1u] = words[1];
+    picture[at + 2u] = words[2];
+#else
     let at = id.y * way.width + id.x;
     // Both eyes have the same pattern, which would else float in front of the sky or behind it.
     let pixel = vec2u(id.x % way.eye_width, id.y);
     picture[at] = mixed(old_picture[at], picture[at], way.share, threshold(pixel >> vec2u(way.dither_shift)));
+#endif
 }

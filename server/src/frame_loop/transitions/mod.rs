@@ -333,7 +333,8 @@ impl SkyRenderer {
         }
         let is_first = transition.way.stage() == Stage::Fades && transition.fade.is_none();
         if is_first {
-            let bytes = PictureFade::bytes_of(viewer.view.picture_size());
+            let format = viewer.picture.format();
+            let bytes = PictureFade::bytes_of(viewer.view.picture_size(), format);
             if self.fade_bytes() + bytes > PICTURES_BYTES_MAX {
                 transition.way.give_up();
             } else {
@@ -433,7 +434,9 @@ impl SkyRenderer {
     pub(super) fn fade_bytes(&self) -> u64 {
         let fading = self.viewers.values().filter(|viewer| viewer.fades());
         fading
-            .map(|viewer| PictureFade::bytes_of(viewer.view.picture_size()))
+            .map(|viewer| {
+                PictureFade::bytes_of(viewer.view.picture_size(), viewer.picture.format())
+            })
             .sum()
     }
 
