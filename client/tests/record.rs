@@ -89,10 +89,9 @@ async fn clouds_alone_are_saved_as_exr_with_their_transmittance_and_distance() {
         .await
         .expect("a recording");
     assert_eq!(index.frames[3].file, "frame-00003.exr");
-    let image = exr::prelude::read_all_flat_layers_from_file(
-        directory.path().join(&index.frames[3].file),
-    )
-    .expect("an EXR file");
+    let image =
+        exr::prelude::read_all_flat_layers_from_file(directory.path().join(&index.frames[3].file))
+            .expect("an EXR file");
     let [layer] = image.layer_data.as_slice() else {
         panic!("{} layers", image.layer_data.len());
     };

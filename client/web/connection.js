@@ -22,11 +22,12 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @property {number} width  pixels, at most `welcome.max_width`; with two eyes those of one, at most half of it
  * @property {number} height  pixels, at most `welcome.max_height`
  * @property {number} fps  1 to 120
- * @property {"jpeg" | "png"} [codec]
+ * @property {"jpeg" | "png" | "clouds"} [codec]  clouds: clouds alone, for a renderer of your own (clouds.js)
  * @property {number} [jpeg_quality]  1 to 100
  * @property {Quality | null} [quality]  null: what the scene or the server says
  * @property {string} [show]  name of a view, as `/api/v1/views` lists them
  * @property {Stereo | null} [stereo]  two eyes, side by side in each frame; null: one
+ * @property {boolean} [haze]  colour of clouds alone includes the haze in front of them (true)
  */
 
 /** @typedef {{ eye_distance_m: number }} Stereo  0 to 100 m */
@@ -82,7 +83,7 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
 /**
  * @typedef {object} Frame
  * @property {FrameHeader} header
- * @property {Uint8Array<ArrayBuffer>} payload  a JPEG or PNG file
+ * @property {Uint8Array<ArrayBuffer>} payload  what `header.codec` says: a JPEG or PNG file, or what clouds.js reads
  * @property {(times: { decode_us: number, present_us: number }) => void} presented  acknowledges; to be called once.
  *   decode_us: how long decoding took; present_us: when it was shown, µs since 1970
  */

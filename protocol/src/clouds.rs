@@ -34,9 +34,9 @@
 //! *How planes stand in the stream.* Each number, as the 16-bit whole number that its bits are, is told as its difference from
 //! a prediction out of the left, the upper and the upper left one of its plane (`left`, `up`, `corner`; 0 beyond the edges):
 //! `min(left, up)` where `corner >= max(left, up)`, `max(left, up)` where `corner <= min(left, up)`, else
-//! `left + up - corner` (the median of these, LOCO-I, M. Weinberger et al. 2000). The difference modulo 2¹⁶ is folded, 0, -1, 1, -2
-//! … to 0, 1, 2, 3 …: `(d << 1) ^ (d >> 15)` with the sign shifted in. Of each plane all upper bytes come first, then all
-//! lower ones.
+//! `left + up - corner` (the median of these, LOCO-I, M. Weinberger et al. 2000). Of red and blue, what is told is that
+//! difference less green's. It is taken modulo 2¹⁶ and folded, 0, -1, 1, -2 … to 0, 1, 2, 3 …: `(d << 1) ^ (d >> 15)` with the
+//! sign shifted in. Of each plane all upper bytes come first, then all lower ones.
 
 use std::io::{Read, Write};
 
@@ -61,7 +61,9 @@ pub const PIXEL_BYTES: usize = 12;
 pub const WHITE: [f32; 3] = [0.8444, 1.0602, 1.0954];
 
 const FLAG_HAZE: u16 = 1 << 0;
-/// Of the planes, the one of transmittance.
+const RED: usize = 0;
+const GREEN: usize = 1;
+const BLUE: usize = 2;
 const TRANSMITTANCE: usize = 3;
 const DISTANCE: usize = 4;
 /// A picture of 3840×2160 has 83 million bytes before it is compressed.
@@ -119,7 +121,9 @@ pub enum CloudsError {
     #[error("clouds of {0} planes; version {CLOUDS_VERSION} has {PLANES}")]
     Planes(u8),
     /// Flags or reserved bytes that this version does not have.
-    #[error("flags or reserved bytes of clouds are set that version {CLOUDS_VERSION} does not have")]
+    #[error(
+        "flags or reserved bytes of clouds are set that version {CLOUDS_VERSION} does not have"
+    )]
     Reserved,
     /// No such picture.
     #[error("{name} of clouds is {value}; allowed: 1 to {max}")]
@@ -207,11 +211,17 @@ impl Clouds {
             });
         }
         let (pixels, width) = (header.pixels(), header.width as usize);
-        let plane = |index: usize| {
-            let folded = &bytes[2 * index * pixels..][..2 * pixels];
-            unfolded(folded, width)
-        };
-        let planes = [0, 1, 2, 3, 4].map(plane);
+        let differences = |index: usize| unfolded(&bytes[2 * index * pixels..][..2 * pixels]);
+        let green = differences(GREEN);
+        let planes = [RED, GREEN, BLUE, TRANSMITTANCE, DISTANCE].map(|index| {
+            let mut of_plane = differences(index);
+            if index == RED || index == BLUE {
+                for (difference, greens) in of_plane.iter_mut().zip(&green) {
+                    *difference = difference.wrapping_add(*greens);
+                }
+            }
+            restored(of_plane, width)
+        });
         for (index, plane) in planes.iter().enumerate() {
             let (max, allowed) = if index == TRANSMITTANCE {
                 (f16::ONE, "0 to 1")
@@ -268,7 +278,9 @@ impl Clouds {
     }
 
     fn at(&self, plane: usize, pixel: usize) -> f32 {
-        self.planes[plane].get(pixel).map_or(0.0, |value| value.to_f32())
+        self.planes[plane]
+            .get(pixel)
+            .map_or(0.0, |value| value.to_f32())
     }
 }
 
@@ -371,13 +383,20 @@ fn folded(pixels: &[u8], width: usize) -> Vec<u8> {
         for (column, pixel) in line.chunks_exact(PIXEL_BYTES).enumerate() {
             let at = row * width + column;
             let up = above[column + 1];
+            let mut differences = [0u16; PLANES];
             for plane in 0..PLANES {
                 let value = u16::from_le_bytes([pixel[2 * plane], pixel[2 * plane + 1]]);
                 let expected = predicted(left[plane], up[plane], corner[plane]);
-                let [upper, lower] = fold(value.wrapping_sub(expected)).to_be_bytes();
+                differences[plane] = value.wrapping_sub(expected);
+                left[plane] = value;
+            }
+            for plane in [RED, BLUE] {
+                differences[plane] = differences[plane].wrapping_sub(differences[GREEN]);
+            }
+            for (plane, difference) in differences.into_iter().enumerate() {
+                let [upper, lower] = fold(difference).to_be_bytes();
                 bytes[2 * plane * count + at] = upper;
                 bytes[(2 * plane + 1) * count + at] = lower;
-                left[plane] = value;
             }
             above[column + 1] = left;
             corner = up;
@@ -386,16 +405,23 @@ fn folded(pixels: &[u8], width: usize) -> Vec<u8> {
     bytes
 }
 
-/// A plane out of its upper and its lower bytes.
-fn unfolded(folded: &[u8], width: usize) -> Vec<f16> {
+/// Differences out of their upper and their lower bytes.
+fn unfolded(folded: &[u8]) -> Vec<u16> {
     let (upper, lower) = folded.split_at(folded.len() / 2);
-    let mut plane = Vec::with_capacity(upper.len());
+    let pairs = upper.iter().zip(lower);
+    pairs
+        .map(|(upper, lower)| unfold(u16::from_be_bytes([*upper, *lower])))
+        .collect()
+}
+
+/// A plane out of its differences from what was predicted.
+fn restored(differences: Vec<u16>, width: usize) -> Vec<f16> {
+    let mut plane = Vec::with_capacity(differences.len());
     let mut above = vec![0u16; width];
-    for (upper, lower) in upper.chunks_exact(width).zip(lower.chunks_exact(width)) {
+    for row in differences.chunks_exact(width) {
         let (mut left, mut corner) = (0, 0);
-        for ((up, upper), lower) in above.iter_mut().zip(upper).zip(lower) {
-            let difference = unfold(u16::from_be_bytes([*upper, *lower]));
-            left = predicted(left, *up, corner).wrapping_add(difference);
+        for (up, difference) in above.iter_mut().zip(row) {
+            left = predicted(left, *up, corner).wrapping_add(*difference);
             corner = *up;
             *up = left;
             plane.push(f16::from_bits(left));

@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::{Codec, ValueError};
 use crate::read_json::{ReadJson, read_name};
+use crate::{Codec, ValueError};
 
 /// What a viewer's frames show.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]

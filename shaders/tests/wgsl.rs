@@ -62,7 +62,12 @@ fn every_view_validates_with_every_density_and_number_of_layers() {
 #[test]
 fn clouds_alone_validate_over_every_sky_and_have_no_background() {
     use skycell_shaders::CloudsAlone;
-    let background = ["background_radiance", "sun_disc_radiance", "moon_disc_radiance", "star_radiance"];
+    let background = [
+        "background_radiance",
+        "sun_disc_radiance",
+        "moon_disc_radiance",
+        "star_radiance",
+    ];
     for (layers, index) in (0..=4).zip(0..) {
         for clouds_alone in [CloudsAlone::InHaze, CloudsAlone::WithoutHaze] {
             for bits in 0..8 {
@@ -82,9 +87,19 @@ fn clouds_alone_validate_over_every_sky_and_have_no_background() {
                     .validate(&module)
                     .unwrap_or_else(|error| panic!("{features:?}: {error:?}"));
             }
-            let called = functions_called(Kernel::Composite, Features { layers, clouds_alone, ..Features::default() });
+            let called = functions_called(
+                Kernel::Composite,
+                Features {
+                    layers,
+                    clouds_alone,
+                    ..Features::default()
+                },
+            );
             for name in background {
-                assert!(!called.contains(name), "{layers} {clouds_alone:?}: {called:?}");
+                assert!(
+                    !called.contains(name),
+                    "{layers} {clouds_alone:?}: {called:?}"
+                );
             }
         }
     }
@@ -167,7 +182,8 @@ fn shared_structs_have_the_names_offsets_and_sizes_of_the_wgsl() {
 fn functions_called(kernel: Kernel, features: Features) -> std::collections::BTreeSet<String> {
     let module = compose(kernel, features).expect("composes");
     let mut called = std::collections::BTreeSet::new();
-    let mut waiting: Vec<&naga::Function> = module.entry_points.iter().map(|e| &e.function).collect();
+    let mut waiting: Vec<&naga::Function> =
+        module.entry_points.iter().map(|e| &e.function).collect();
     while let Some(function) = waiting.pop() {
         let mut blocks = vec![&function.body];
         while let Some(block) = blocks.pop() {
@@ -183,7 +199,9 @@ fn functions_called(kernel: Kernel, features: Features) -> std::collections::BTr
                     }
                     Block(inner) => blocks.push(inner),
                     If { accept, reject, .. } => blocks.extend([accept, reject]),
-                    Loop { body, continuing, .. } => blocks.extend([body, continuing]),
+                    Loop {
+                        body, continuing, ..
+                    } => blocks.extend([body, continuing]),
                     Switch { cases, .. } => blocks.extend(cases.iter().map(|case| &case.body)),
                     _ => {}
                 }

@@ -20,11 +20,11 @@ use image::{ImageFormat, Rgb, RgbImage};
 use serde_json::{Value, json};
 use skycell_client::unix_time::unix_us_now;
 use skycell_client::{HttpApi, ServerAddress};
+use skycell_protocol::clouds::CloudsHeader;
 use skycell_protocol::frame::FrameHeader;
 use skycell_protocol::message::{
     ClientMessage, ErrorCode, ErrorMessage, Hello, ServerMessage, Welcome,
 };
-use skycell_protocol::clouds::CloudsHeader;
 use skycell_protocol::{
     Camera, CellId, Codec, FrameSequence, FrameSize, FrameStages, InputSequence, PROTOCOL_VERSION,
     RendererKind, SUBPROTOCOL, ViewerId,

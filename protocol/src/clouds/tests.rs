@@ -39,7 +39,7 @@ fn around(width: u32, height: u32, inflated: &[u8]) -> Vec<u8> {
 
 #[test]
 fn the_bytes_of_a_header_are_pinned() {
-    let payload = payload(1, 1, &[[0x3800, 0, 0, 0x3800, 0x4000]]);
+    let payload = payload(1, 1, &[[0x3801, 1, 0, 0x3800, 0x4000]]);
     let data_bytes = (payload.len() - CLOUDS_HEADER_BYTES) as u8;
     let mut expected = [0u8; CLOUDS_HEADER_BYTES];
     expected[..3].copy_from_slice(&[1, 5, 1]);
@@ -51,16 +51,23 @@ fn the_bytes_of_a_header_are_pinned() {
     ZlibDecoder::new(&payload[CLOUDS_HEADER_BYTES..])
         .read_to_end(&mut inflated)
         .expect("a stream");
-    // Differences from nothing, folded: twice the number; upper byte, lower byte.
-    assert_eq!(inflated, [0x70, 0, 0, 0, 0, 0, 0x70, 0, 0x80, 0]);
+    // Differences from nothing, of red and blue less green's, folded: twice the number; upper byte, lower byte.
+    assert_eq!(inflated, [0x70, 0, 0, 2, 0, 1, 0x70, 0, 0x80, 0]);
 }
 
 #[test]
 fn colour_is_told_without_its_pre_exposure_and_distance_in_metres() {
-    let clouds = Clouds::parse(&payload(1, 1, &[[0x3c00, 0x3800, 0, 0x3400, 0x4500]])).expect("clouds");
+    let clouds =
+        Clouds::parse(&payload(1, 1, &[[0x3c00, 0x3800, 0, 0x3400, 0x4500]])).expect("clouds");
     assert_eq!(clouds.radiance(0), [4.0, 2.0, 0.0]);
-    assert_eq!((clouds.transmittance(0), clouds.distance_m(0)), (0.25, 5000.0));
-    assert_eq!((clouds.width(), clouds.height(), clouds.header().haze), (1, 1, true));
+    assert_eq!(
+        (clouds.transmittance(0), clouds.distance_m(0)),
+        (0.25, 5000.0)
+    );
+    assert_eq!(
+        (clouds.width(), clouds.height(), clouds.header().haze),
+        (1, 1, true)
+    );
     assert_eq!(clouds.radiance(1), [0.0; 3]);
 }
 
@@ -68,7 +75,13 @@ fn colour_is_told_without_its_pre_exposure_and_distance_in_metres() {
 fn the_sample_that_the_page_reads_too_is_read_as_it_was_written() {
     let sample = include_bytes!("../../../client/web/tests/clouds-4x3.bin");
     let clouds = Clouds::parse(sample).expect("clouds");
-    assert_eq!(clouds.header(), &CloudsHeader { haze: false, ..header(4, 3) });
+    assert_eq!(
+        clouds.header(),
+        &CloudsHeader {
+            haze: false,
+            ..header(4, 3)
+        }
+    );
     for pixel in 0..12 {
         let number = pixel as f32;
         assert_eq!(clouds.radiance(pixel), [number, 2.0 * number, 0.5]);
@@ -86,10 +99,7 @@ fn what_is_no_picture_of_clouds_is_refused_in_words() {
         bytes[at] = byte;
         Clouds::parse(&bytes).expect_err("no clouds").to_string()
     };
-    assert_eq!(
-        Clouds::parse(&good[..31]),
-        Err(CloudsError::Truncated(31))
-    );
+    assert_eq!(Clouds::parse(&good[..31]), Err(CloudsError::Truncated(31)));
     for (at, byte, said) in [
         (0, 2, "version 2"),
         (1, 4, "4 planes"),
@@ -108,12 +118,21 @@ fn what_is_no_picture_of_clouds_is_refused_in_words() {
         assert!(error.contains(said), "{at}: {error}");
     }
     let cut = &good[..good.len() - 1];
-    assert!(matches!(Clouds::parse(cut), Err(CloudsError::WrongLength { .. })));
+    assert!(matches!(
+        Clouds::parse(cut),
+        Err(CloudsError::WrongLength { .. })
+    ));
     // Too short, too long by a byte, and a bomb, which is not inflated to its end.
     for inflated in [19, 21, 50_000_000] {
         let error = Clouds::parse(&around(2, 1, &vec![0; inflated]));
         let found = inflated.min(21);
-        assert_eq!(error, Err(CloudsError::WrongData { expected: 20, found }));
+        assert_eq!(
+            error,
+            Err(CloudsError::WrongData {
+                expected: 20,
+                found
+            })
+        );
     }
     // Not a number, infinity, below nothing; more light than there was.
     for (plane, bits, allowed) in [
@@ -136,10 +155,19 @@ fn what_cannot_become_a_picture_is_refused() {
     };
     assert_eq!(
         refused(&header(2, 1), 23),
-        CloudsError::WrongPixels { found: 23, expected: 24 }
+        CloudsError::WrongPixels {
+            found: 23,
+            expected: 24
+        }
     );
-    assert!(matches!(refused(&header(3841, 1), 12), CloudsError::Size { name: "width", .. }));
-    let dark = CloudsHeader { pre_exposure: f32::NAN, ..header(1, 1) };
+    assert!(matches!(
+        refused(&header(3841, 1), 12),
+        CloudsError::Size { name: "width", .. }
+    ));
+    let dark = CloudsHeader {
+        pre_exposure: f32::NAN,
+        ..header(1, 1)
+    };
     assert!(matches!(refused(&dark, 12), CloudsError::PreExposure(_)));
 }
 

@@ -474,6 +474,7 @@ mod tests {
             ("quality", json!({"budget_ms": 0}), "/quality/budget_ms"),
             ("heigth", json!(360), "/heigth"),
             ("stereo", json!(0.064), "/stereo"),
+            ("haze", json!("no"), "/haze"),
             (
                 "stereo",
                 json!({"eye_distance_m": 101}),
@@ -485,6 +486,20 @@ mod tests {
                 Some(pointer)
             );
         }
+        let mut hello = hello_json();
+        hello["codec"] = json!("clouds");
+        assert!(read(&hello).is_ok());
+        hello["show"] = json!("density");
+        assert_eq!(
+            read(&hello).expect_err("a codec of clouds").to_string(),
+            "/show is \"density\"; allowed: \"picture\" where codec is \"clouds\""
+        );
+        let alone = ViewChange {
+            codec: Some(Codec::Clouds),
+            ..ViewChange::default()
+        };
+        let shown = |change: ViewChange, show| change.show_after(show, Codec::Png);
+        assert!(shown(alone, Show::Picture).is_ok() && shown(alone, Show::Density).is_err());
         let mut hello = hello_json();
         hello["camera"]["pitch_deg"] = json!(100);
         let error = read(&hello).expect_err("out of range");
@@ -505,7 +520,11 @@ mod tests {
             eyes in proptest::option::of(proptest::option::of(0.0..=100.0f64)),
         ) {
             let camera = Camera::new([1.0, 2.0, 3.0], yaw_deg, 5.0, 60.0).expect("in range");
-            let codec = if png { Codec::Png } else { Codec::Jpeg };
+            let codec = match (png, screen_space) {
+                (true, _) => Codec::Png,
+                (false, true) => Codec::Clouds,
+                (false, false) => Codec::Jpeg,
+            };
             let jpeg_quality = JpegQuality::new(quality).expect("in range");
             let renderer = if screen_space { RendererKind::ScreenSpace } else { RendererKind::Cached };
             let show = if png { Show::Density } else { Show::Picture };
@@ -515,7 +534,7 @@ mod tests {
             prop_assume!(width <= 1920 || eyes.is_none());
             let messages = [
                 ClientMessage::Hello(Hello {
-                    codec, jpeg_quality, renderer, quality: quality.flatten(), show, stereo: stereo.flatten(), ..Hello::new(size, fps, camera)
+                    codec, jpeg_quality, renderer, quality: quality.flatten(), show, stereo: stereo.flatten(), haze: some[2], ..Hello::new(size, fps, camera)
                 }),
                 ClientMessage::Camera(CameraInput { input: InputSequence(input), camera }),
                 ClientMessage::View(ViewChange {
@@ -527,6 +546,7 @@ mod tests {
                     quality,
                     show: some[0].then_some(show),
                     stereo,
+                    haze: some[1].then_some(png),
                 }),
                 ClientMessage::Ack(Acknowledgement {
                     sequence: FrameSequence(sequence), decode_us, present_us,

@@ -104,3 +104,58 @@ impl PictureFade {
         pass.dispatch_workgroups(width.div_ceil(GROUP_WIDTH), height.div_ceil(GROUP_ROWS), 1);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::read_buffer_blocking;
+    use half::f16;
+
+    /// Pixels as the shaders write them.
+    fn bytes(pixels: &[[f32; 5]]) -> Vec<u8> {
+        let halves = pixels.iter().flat_map(|pixel| pixel.iter().chain([&0.0]));
+        halves
+            .flat_map(|value| f16::from_f32(*value).to_le_bytes())
+            .collect()
+    }
+
+    #[test]
+    fn clouds_alone_are_mixed_by_light_transmittance_and_where_more_is_hidden() {
+        let gpu = Gpu::open_blocking().expect("a device");
+        let mut pipelines = Pipelines::new(&gpu);
+        let format = PictureFormat::Clouds;
+        let key = fade_key_of(format);
+        pipelines.prepare(&gpu, key).expect("a pipeline");
+        let size = FrameSize::new(3, 1).expect("a size");
+        let picture = Picture::of_format(&gpu, &pipelines, size, 1, format, None);
+        let fade = PictureFade::new(&gpu, &pipelines, &picture);
+        // Colour, transmittance, distance: two clouds; one that was clear sky before; clear sky throughout.
+        let old = [
+            [1.0, 2.0, 4.0, 0.5, 4.0],
+            [0.0, 0.0, 0.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0, 0.0],
+        ];
+        let new = [
+            [8.0, 0.0, 4.0, 0.0, 10.0],
+            [4.0, 4.0, 4.0, 0.25, 6.0],
+            [0.0, 0.0, 0.0, 1.0, 0.0],
+        ];
+        gpu.queue.write_buffer(fade.old().pixels(), 0, &bytes(&old));
+        gpu.queue.write_buffer(picture.pixels(), 0, &bytes(&new));
+        let mut timing = TimingRing::new(&gpu);
+        timing.begin();
+        let label = wgpu::CommandEncoderDescriptor { label: None };
+        let mut encoder = gpu.device.create_command_encoder(&label);
+        // What the old picture tells is twice as much where the new one's pre-exposure is twice as high.
+        fade.record(&gpu, &mut encoder, &mut timing, &pipelines, 0.25, 0, 2.0);
+        gpu.queue.submit([encoder.finish()]);
+        let mixed = read_buffer_blocking(&gpu, picture.pixels()).expect("pixels");
+        // Opacities 0.75 · 0.5 at 4 km and 0.25 · 1 at 10 km: (1.5 + 2.5) / 0.625 km.
+        let expected = [
+            [3.5, 3.0, 7.0, 0.375, 6.4],
+            [1.0, 1.0, 1.0, 0.8125, 6.0],
+            [0.0, 0.0, 0.0, 1.0, 0.0],
+        ];
+        assert_eq!(mixed, bytes(&expected));
+    }
+}

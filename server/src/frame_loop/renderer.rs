@@ -19,8 +19,8 @@ use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
 use crate::cells::{CellLimit, Cells};
 use crate::clock;
 use crate::composite::{
-    Inspections, Picture, PictureFade, clouds_key, composite_key, fade_key, ground_key, with_parallax,
-    with_shared_background,
+    Inspections, Picture, PictureFade, clouds_key, composite_key, fade_key, ground_key,
+    with_parallax, with_shared_background,
 };
 use crate::config::{FrameFilter, PlacedCell, RenderConfig};
 use crate::field::FieldStore;
