@@ -112,7 +112,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A JPEG or PNG file, as `header.codec` says.
+    /// What `header.codec` says: a JPEG or PNG file, or clouds alone (`skycell_protocol::clouds`).
     pub fn payload(&self) -> &[u8] {
         // A frame exists only of a message with a whole header.
         &self.message[skycell_protocol::frame::FRAME_HEADER_BYTES..]
