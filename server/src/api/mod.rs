@@ -5,6 +5,7 @@ mod maps;
 mod page;
 mod presets;
 mod problem;
+mod revisions;
 mod scene;
 mod scene_time;
 
@@ -55,6 +56,7 @@ pub fn router(context: Arc<StreamContext>) -> Router {
     let changes = Router::new()
         .route("/api/v1/scene", get(scene::get).patch(scene::patch))
         .route("/api/v1/scene/preset", post(presets::set))
+        .route("/api/v1/scene/revert", post(revisions::revert))
         .method_not_allowed_fallback(method_not_allowed)
         .layer(RequestBodyLimitLayer::new(BODY_MAX_BYTES))
         .layer(timeout(CHANGE_TIMEOUT));
@@ -66,6 +68,8 @@ pub fn router(context: Arc<StreamContext>) -> Router {
         )
         .route("/api/v1/scene/now", get(scene_time::now))
         .route("/api/v1/scene/events", get(scene_time::events))
+        .route("/api/v1/scene/revisions", get(revisions::list))
+        .route("/api/v1/scene/revisions/{revision}", get(revisions::get))
         .route("/api/v1/presets", get(presets::list))
         .route("/api/v1/presets/{name}", get(presets::get))
         .route("/api/v1/cells", get(figures::cells))

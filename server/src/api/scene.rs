@@ -186,6 +186,9 @@ pub(super) fn problem_of(error: ScenePatchError) -> Problem {
             }
         }
         ScenePatchError::Invalid(error) => Problem::bad_value(error),
+        ScenePatchError::NothingToUndo { .. } => {
+            Problem::new(StatusCode::CONFLICT, error.to_string())
+        }
         ScenePatchError::BadMap { pointer, error } => maps::map_problem(pointer, &error),
         ScenePatchError::MapsFull { .. } => maps::full_problem(&error),
         ScenePatchError::NotKept(error) => {
