@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
-use skycell_server::config::{Config, Flags};
+use skycell_server::config::{Config, Flags, LogFormat};
 use skycell_server::doctor::{self, DoctorArguments};
 use skycell_server::measure::{self, MeasureArguments};
 use skycell_server::probe::{self, command::ProbeArguments};
@@ -54,6 +54,20 @@ struct ServeArgs {
     /// Read settings from this TOML file. SKYCELL_... variables and flags override it.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Write the log like this: a line for people, or a JSON object a line.
+    #[arg(long, value_name = "FORMAT")]
+    log_format: Option<LogFormat>,
+}
+
+impl ServeArgs {
+    fn flags(self) -> Flags {
+        Flags {
+            listen: self.listen,
+            state_dir: self.state,
+            log_format: self.log_format,
+            file: self.config,
+        }
+    }
 }
 
 fn main() -> ExitCode {
@@ -74,10 +88,5 @@ fn main() -> ExitCode {
 }
 
 fn serve(args: ServeArgs) -> anyhow::Result<()> {
-    let config = Config::load(&Flags {
-        listen: args.listen,
-        state_dir: args.state,
-        file: args.config,
-    })?;
-    serve::run(config)
+    serve::run(Config::load(&args.flags())?)
 }

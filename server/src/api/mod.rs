@@ -147,7 +147,7 @@ async fn live() -> &'static str {
 /// The renderer has warmed up and runs, and the service is not shutting down.
 async fn ready(State(context): State<Arc<StreamContext>>) -> Result<&'static str, Problem> {
     let unready = |why| Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, why));
-    if context.shutdown.is_cancelled() {
+    if context.draining.is_cancelled() {
         unready("the server is shutting down")
     } else if !context.frame_loop.is_ready() {
         unready("the renderer is not ready")

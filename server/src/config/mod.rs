@@ -28,6 +28,8 @@ pub const VIEWERS_MAX: NumberRange = NumberRange::new(1.0, 1024.0);
 pub const ENCODER_THREADS: NumberRange = NumberRange::new(1.0, 64.0);
 /// After how long without progress a viewer is dropped.
 pub const VIEWER_STALL_S: NumberRange = NumberRange::new(1.0, 3600.0);
+/// How long no viewer is taken any more before the sessions are closed.
+pub const DRAIN_S: NumberRange = NumberRange::new(0.0, 3600.0);
 /// How many view cells may be placed by hand.
 pub const CELLS_MAX: usize = 64;
 /// How many characters the name of a cell may have; at least one.
@@ -64,15 +66,29 @@ pub struct Config {
     pub encoder_threads: u32,
     /// A viewer that takes or says nothing for this long is dropped.
     pub viewer_stall_s: f64,
+    /// After SIGTERM: how long the server is not ready and takes no viewer before it closes the sessions.
+    pub drain_s: f64,
     /// Origins of other sites whose pages may open `/ws`, such as `https://example.org`. Pages of
     /// this server and clients that are no browsers always may.
     pub allowed_origins: Vec<String>,
     /// What to log, as `tracing` filters are written: `info`, `skycell_server=debug`.
     pub log: String,
+    /// How it is written.
+    pub log_format: LogFormat,
     /// The renderer's settings.
     pub render: RenderConfig,
     /// View cells placed by hand.
     pub cells: Vec<PlacedCell>,
+}
+
+/// How the log is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum LogFormat {
+    /// A line for people.
+    Text,
+    /// A JSON object a line.
+    Json,
 }
 
 /// The renderer's settings: section `[render]`.
@@ -275,6 +291,16 @@ impl ReadJson for FrameFilter {
     }
 }
 
+impl ReadJson for LogFormat {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        read_name(
+            value,
+            pointer,
+            &[("text", Self::Text), ("json", Self::Json)],
+        )
+    }
+}
+
 impl ReadJson for PlacedCell {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
         let members = ObjectReader::new(value, pointer)?;
@@ -311,8 +337,10 @@ impl Config {
         "viewers_max",
         "encoder_threads",
         "viewer_stall_s",
+        "drain_s",
         "allowed_origins",
         "log",
+        "log_format",
         "render",
         "cells",
     ];
@@ -326,8 +354,10 @@ impl Config {
             // More than eight would starve whatever feeds them.
             encoder_threads: cores.clamp(1, 8) as u32,
             viewer_stall_s: 30.0,
+            drain_s: 5.0,
             allowed_origins: Vec::new(),
             log: "info".to_owned(),
+            log_format: LogFormat::Text,
             render: RenderConfig {
                 grids_dir: state_dir.join("grids"),
                 maps_dir: state_dir.join("maps"),
@@ -365,8 +395,10 @@ impl Config {
                 VIEWER_STALL_S,
                 default.viewer_stall_s,
             )?,
+            drain_s: number(&members, "drain_s", DRAIN_S, default.drain_s)?,
             allowed_origins: members.member_or("allowed_origins", default.allowed_origins)?,
             log: members.member_or("log", default.log)?,
+            log_format: members.member_or("log_format", default.log_format)?,
             render: match members.optional::<Value>("render")? {
                 Some(render) => RenderConfig::read(&render, default.render)?,
                 None => default.render,

@@ -8,7 +8,7 @@ use skycell_protocol::read_json::nearest_name;
 use skycell_protocol::value_error::ValueError;
 use thiserror::Error;
 
-use super::Config;
+use super::{Config, LogFormat};
 
 /// What names of environment variables begin with.
 const PREFIX: &str = "SKYCELL_";
@@ -34,8 +34,10 @@ const KEYS: &[(&str, Kind)] = &[
     ("viewers_max", Kind::Number),
     ("encoder_threads", Kind::Number),
     ("viewer_stall_s", Kind::Number),
+    ("drain_s", Kind::Number),
     ("allowed_origins", Kind::List),
     ("log", Kind::Text),
+    ("log_format", Kind::Text),
     ("render/mip_bias", Kind::Number),
     ("render/samples", Kind::Number),
     ("render/quality", Kind::JsonOrText),
@@ -60,6 +62,8 @@ pub struct Flags {
     pub listen: Option<SocketAddr>,
     /// `--state`
     pub state_dir: Option<PathBuf>,
+    /// `--log-format`
+    pub log_format: Option<LogFormat>,
     /// `--config`
     pub file: Option<PathBuf>,
 }
@@ -229,7 +233,14 @@ fn set_from_flags(tree: &mut Map<String, Value>, flags: &Flags) -> Result<bool, 
             .ok_or_else(|| ConfigError::Path(path.clone()))?;
         set(tree, "state_dir", Value::from(text));
     }
-    Ok(flags.listen.is_some() || flags.state_dir.is_some())
+    if let Some(format) = flags.log_format {
+        let name = match format {
+            LogFormat::Text => "text",
+            LogFormat::Json => "json",
+        };
+        set(tree, "log_format", Value::from(name));
+    }
+    Ok(flags.listen.is_some() || flags.state_dir.is_some() || flags.log_format.is_some())
 }
 
 /// Sets `key` or `section/key`.

@@ -41,7 +41,7 @@ fn flags_beat_the_environment_and_the_environment_beats_the_file() {
     let flags = Flags {
         listen: Some(SocketAddr::from(([127, 0, 0, 1], 3))),
         state_dir: Some(PathBuf::from("state")),
-        file: None,
+        ..Flags::default()
     };
     let config = Config::resolve(&flags, &environment).expect("resolves");
     assert_eq!(config.listen.port(), 3);

@@ -127,14 +127,14 @@ async fn say_goodbye(
         let _ = tokio::time::timeout(CLOSE_TIMEOUT, sink.close()).await;
         return;
     };
-    tracing::debug!(code, reason, "closing a connection");
+    tracing::debug!(code, %reason, "closing a connection");
     let farewell = async {
         if let Some(Ok(message)) = error.map(|e| outbound::text_of(&ServerMessage::Error(e))) {
             sink.send(message).await?;
         }
         let frame = CloseFrame {
             code,
-            reason: reason.into(),
+            reason: reason.as_ref().into(),
         };
         sink.send(Message::Close(Some(frame))).await
     };
