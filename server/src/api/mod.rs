@@ -11,16 +11,16 @@ mod scene_time;
 
 use std::any::Any;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::Router;
-use axum::extract::State;
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
     X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
 use axum::http::{HeaderMap, StatusCode};
-use axum::middleware::map_response;
+use axum::middleware::{Next, from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use tower_http::catch_panic::CatchPanicLayer;
@@ -31,6 +31,7 @@ use tower_http::trace::TraceLayer;
 
 pub use problem::Problem;
 
+use crate::metrics::ServiceFigures;
 use crate::stream::{self, StreamContext};
 
 /// The largest body of a request. The default scene has 1 KB, one with four layers 2 KB.
@@ -89,9 +90,10 @@ pub fn router(context: Arc<StreamContext>) -> Router {
                 .method_not_allowed_fallback(method_not_allowed)
                 .layer(timeout(MAP_TIMEOUT)),
         )
-        .with_state(context)
+        .with_state(Arc::clone(&context))
         .layer(CatchPanicLayer::custom(after_panic))
-        .layer(map_response(problem::unify));
+        .layer(map_response(problem::unify))
+        .layer(from_fn_with_state(context, count));
     security_headers()
         .into_iter()
         .fold(router, |router, (name, value)| {
@@ -149,6 +151,8 @@ async fn ready(State(context): State<Arc<StreamContext>>) -> Result<&'static str
     let unready = |why| Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, why));
     if context.draining.is_cancelled() {
         unready("the server is shutting down")
+    } else if context.frame_loop.stats().device_loss.is_lost {
+        unready("the graphics device was lost and is being opened again")
     } else if !context.frame_loop.is_ready() {
         unready("the renderer is not ready")
     } else {
@@ -156,8 +160,47 @@ async fn ready(State(context): State<Arc<StreamContext>>) -> Result<&'static str
     }
 }
 
+/// Counts requests and the time that they take.
+async fn count(
+    State(context): State<Arc<StreamContext>>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let begun = Instant::now();
+    // Methods that nobody knows are one, so that strangers cannot make up labels; so are the page's files.
+    let method = match request.method().as_str() {
+        "GET" => "GET",
+        "HEAD" => "HEAD",
+        "PATCH" => "PATCH",
+        "POST" => "POST",
+        "PUT" => "PUT",
+        "DELETE" => "DELETE",
+        _ => "other",
+    };
+    let route = request.extensions().get::<MatchedPath>().cloned();
+    let response = next.run(request).await;
+    let route = route.as_ref().map_or("page", MatchedPath::as_str);
+    let status = response.status().as_u16();
+    context
+        .metrics
+        .answered(method, route, status, begun.elapsed());
+    response
+}
+
 async fn metrics(State(context): State<Arc<StreamContext>>) -> impl IntoResponse {
     let stats = context.frame_loop.stats();
+    let is_draining = context.draining.is_cancelled();
+    let figures = ServiceFigures {
+        is_ready: !is_draining && context.frame_loop.is_ready(),
+        is_draining,
+        scene_revision: context.scene.snapshot().revision,
+        revisions_kept: context.scene.revisions().len(),
+        cpu: cpu_time::ProcessTime::try_now()
+            .ok()
+            .map(|time| time.as_duration()),
+        memory_bytes: figures::resident_bytes(),
+    };
+    context.metrics.set_service(&figures, &stats);
     let mut headers = HeaderMap::new();
     headers.insert(
         CONTENT_TYPE,

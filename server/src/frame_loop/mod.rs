@@ -5,6 +5,7 @@ mod auditing;
 mod awaited_scene;
 mod budgets;
 mod cells_on_device;
+mod device_loss;
 mod domes_on_device;
 #[cfg(test)]
 mod driven;
