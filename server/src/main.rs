@@ -2,6 +2,7 @@
 
 mod serve;
 
+use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -28,6 +29,9 @@ enum Command {
         after_help = "Example: skycell-server serve --listen 127.0.0.1:8080 --state ~/.local/state/skycell"
     )]
     Serve(ServeArgs),
+    /// Print the resolved configuration, each value with where it comes from.
+    #[command(after_help = "Example: skycell-server config --config skycell.toml")]
+    Config(ServeArgs),
     /// Render one picture from a scene file and a camera, without a server.
     #[command(
         after_help = "Example: skycell-server render --scene sunset.json --yaw-deg 250 --pitch-deg 10 --out sunset.png"
@@ -73,6 +77,7 @@ impl ServeArgs {
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Serve(args) => serve(args),
+        Command::Config(args) => print_config(args),
         Command::Render(arguments) => render_command::run(&arguments),
         Command::Probe(arguments) => probe::command::run(&arguments),
         Command::Measure(arguments) => measure::run(&arguments),
@@ -89,4 +94,13 @@ fn main() -> ExitCode {
 
 fn serve(args: ServeArgs) -> anyhow::Result<()> {
     serve::run(Config::load(&args.flags())?)
+}
+
+fn print_config(args: ServeArgs) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    for origin in Config::explain(&args.flags())? {
+        let value = origin.value.to_string();
+        writeln!(out, "{:<28} {value:<40} {}", origin.key, origin.from)?;
+    }
+    Ok(())
 }

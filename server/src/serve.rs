@@ -9,7 +9,9 @@ use skycell_server::config::{Config, LogFormat};
 use skycell_server::frame_loop::FrameLoop;
 use skycell_server::frame_loop::interface::{FrameLoopHandle, RenderCommand};
 use skycell_server::service::{Service, ServiceParts};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::layer::{Layer, SubscriberExt};
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Registry};
 
 /// How long the renderer may take to end.
 const RENDERER_END_TIMEOUT: Duration = Duration::from_secs(5);
@@ -19,15 +21,15 @@ const RENDERER_CHECK_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Serves until SIGTERM or ctrl-c, or until the renderer ends.
 pub(crate) fn run(config: Config) -> anyhow::Result<()> {
-    start_log(&config)?;
-    let drain = Duration::from_secs_f64(config.drain_s);
-    config.log();
-    let parts = ServiceParts::prepare(config)?;
-    let (frame_loop, renderer) = start_renderer(&parts)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
         .context("cannot start the async runtime")?;
+    let traces = start_log(&config, &runtime)?;
+    let drain = Duration::from_secs_f64(config.drain_s);
+    config.log();
+    let parts = ServiceParts::prepare(config)?;
+    let (frame_loop, renderer) = start_renderer(&parts)?;
     let handle = frame_loop.clone();
     let served = runtime.block_on(async {
         let mut signals = Signals::new()?;
@@ -50,6 +52,7 @@ pub(crate) fn run(config: Config) -> anyhow::Result<()> {
         Ok(())
     });
     end_renderer(&frame_loop, renderer);
+    end_traces(traces);
     // What has not ended by now is cut.
     runtime.shutdown_timeout(Duration::from_millis(100));
     served
@@ -73,19 +76,70 @@ fn start_renderer(parts: &ServiceParts) -> anyhow::Result<(FrameLoopHandle, Join
     Ok((handle, thread))
 }
 
-fn start_log(config: &Config) -> anyhow::Result<()> {
+/// What exports traces; nothing in a build without them.
+#[cfg(feature = "otlp")]
+type TracesHandle = skycell_server::traces::Traces;
+#[cfg(not(feature = "otlp"))]
+type TracesHandle = ();
+
+type BoxedLayer = Box<dyn Layer<Registry> + Send + Sync>;
+
+/// Starts the log, and the export of traces where the configuration asks for it.
+fn start_log(
+    config: &Config,
+    runtime: &tokio::runtime::Runtime,
+) -> anyhow::Result<Option<TracesHandle>> {
     let filter: EnvFilter = config
         .log
         .parse()
         .with_context(|| format!("log = \"{}\" is no filter, such as info", config.log))?;
-    let log = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr);
-    match config.log_format {
-        LogFormat::Text => log.with_ansi(std::io::stderr().is_terminal()).init(),
-        LogFormat::Json => log.json().flatten_event(true).init(),
+    let log = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
+    let log: BoxedLayer = match config.log_format {
+        LogFormat::Text => log
+            .with_ansi(std::io::stderr().is_terminal())
+            .with_filter(filter)
+            .boxed(),
+        LogFormat::Json => log.json().flatten_event(true).with_filter(filter).boxed(),
+    };
+    let (traces, traces_layer) = start_traces(config, runtime)?;
+    let layers: Vec<BoxedLayer> = std::iter::once(log).chain(traces_layer).collect();
+    tracing_subscriber::registry().with(layers).init();
+    Ok(traces)
+}
+
+#[cfg(feature = "otlp")]
+fn start_traces(
+    config: &Config,
+    runtime: &tokio::runtime::Runtime,
+) -> anyhow::Result<(Option<TracesHandle>, Option<BoxedLayer>)> {
+    let Some(endpoint) = &config.otlp_endpoint else {
+        return Ok((None, None));
+    };
+    let traces = TracesHandle::start(endpoint, config.otlp_frame_share, runtime.handle().clone())?;
+    let layer = traces.layer::<Registry>().boxed();
+    Ok((Some(traces), Some(layer)))
+}
+
+#[cfg(not(feature = "otlp"))]
+fn start_traces(
+    config: &Config,
+    _runtime: &tokio::runtime::Runtime,
+) -> anyhow::Result<(Option<TracesHandle>, Option<BoxedLayer>)> {
+    anyhow::ensure!(
+        config.otlp_endpoint.is_none(),
+        "otlp_endpoint is set, and this server was built without the feature otlp"
+    );
+    Ok((None, None))
+}
+
+/// Sends the traces that wait.
+fn end_traces(traces: Option<TracesHandle>) {
+    #[cfg(feature = "otlp")]
+    if let Some(traces) = traces {
+        traces.end();
     }
-    Ok(())
+    #[cfg(not(feature = "otlp"))]
+    let _ = traces;
 }
 
 /// Why the process is to end.

@@ -28,11 +28,13 @@ use tower_http::limit::RequestBodyLimitLayer;
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::timeout::TimeoutLayer;
 use tower_http::trace::TraceLayer;
+use tracing::Instrument;
 
 pub use problem::Problem;
 
 use crate::metrics::ServiceFigures;
 use crate::stream::{self, StreamContext};
+use crate::traces;
 
 /// The largest body of a request. The default scene has 1 KB, one with four layers 2 KB.
 pub const BODY_MAX_BYTES: usize = 64 * 1024;
@@ -178,9 +180,18 @@ async fn count(
         _ => "other",
     };
     let route = request.extensions().get::<MatchedPath>().cloned();
-    let response = next.run(request).await;
     let route = route.as_ref().map_or("page", MatchedPath::as_str);
+    let span = tracing::trace_span!(
+        target: traces::TARGET,
+        "request",
+        otel.kind = "server",
+        http.request.method = method,
+        http.route = route,
+        http.response.status_code = tracing::field::Empty,
+    );
+    let response = next.run(request).instrument(span.clone()).await;
     let status = response.status().as_u16();
+    span.record("http.response.status_code", status);
     context
         .metrics
         .answered(method, route, status, begun.elapsed());

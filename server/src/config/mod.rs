@@ -20,7 +20,7 @@ use skycell_protocol::number_range::NumberRange;
 use skycell_protocol::read_json::{ObjectReader, ReadJson, read_name};
 use skycell_protocol::value_error::ValueError;
 
-pub use sources::{ConfigError, Flags};
+pub use sources::{ConfigError, Flags, Origin};
 
 /// How many viewers may be connected at once.
 pub const VIEWERS_MAX: NumberRange = NumberRange::new(1.0, 1024.0);
@@ -30,6 +30,8 @@ pub const ENCODER_THREADS: NumberRange = NumberRange::new(1.0, 64.0);
 pub const VIEWER_STALL_S: NumberRange = NumberRange::new(1.0, 3600.0);
 /// How long no viewer is taken any more before the sessions are closed.
 pub const DRAIN_S: NumberRange = NumberRange::new(0.0, 3600.0);
+/// Share of frames that are traced.
+pub const OTLP_FRAME_SHARE: NumberRange = NumberRange::new(0.0, 1.0);
 /// How many view cells may be placed by hand.
 pub const CELLS_MAX: usize = 64;
 /// How many characters the name of a cell may have; at least one.
@@ -75,6 +77,10 @@ pub struct Config {
     pub log: String,
     /// How it is written.
     pub log_format: LogFormat,
+    /// Base address of an OpenTelemetry collector that takes traces by OTLP over HTTP; none for no traces.
+    pub otlp_endpoint: Option<String>,
+    /// Share of frames whose stages are traced.
+    pub otlp_frame_share: f64,
     /// The renderer's settings.
     pub render: RenderConfig,
     /// View cells placed by hand.
@@ -341,6 +347,8 @@ impl Config {
         "allowed_origins",
         "log",
         "log_format",
+        "otlp_endpoint",
+        "otlp_frame_share",
         "render",
         "cells",
     ];
@@ -358,6 +366,8 @@ impl Config {
             allowed_origins: Vec::new(),
             log: "info".to_owned(),
             log_format: LogFormat::Text,
+            otlp_endpoint: None,
+            otlp_frame_share: 0.01,
             render: RenderConfig {
                 grids_dir: state_dir.join("grids"),
                 maps_dir: state_dir.join("maps"),
@@ -399,6 +409,13 @@ impl Config {
             allowed_origins: members.member_or("allowed_origins", default.allowed_origins)?,
             log: members.member_or("log", default.log)?,
             log_format: members.member_or("log_format", default.log_format)?,
+            otlp_endpoint: read_endpoint(&members)?.or(default.otlp_endpoint),
+            otlp_frame_share: number(
+                &members,
+                "otlp_frame_share",
+                OTLP_FRAME_SHARE,
+                default.otlp_frame_share,
+            )?,
             render: match members.optional::<Value>("render")? {
                 Some(render) => RenderConfig::read(&render, default.render)?,
                 None => default.render,
@@ -434,6 +451,26 @@ fn read_listen(members: &ObjectReader<'_>) -> Result<Option<SocketAddr>, ValueEr
             })
         })
         .transpose()
+}
+
+/// Without a user and a password, so that there is no secret in it.
+fn read_endpoint(members: &ObjectReader<'_>) -> Result<Option<String>, ValueError> {
+    let endpoint: Option<String> = members.optional("otlp_endpoint")?;
+    match endpoint {
+        Some(text)
+            if !text.starts_with("http://")
+                || text.len() == "http://".len()
+                || text.contains(['@', '?', '#', ' ']) =>
+        {
+            // It may hold what nobody should read in a log.
+            Err(ValueError::new(
+                members.pointer_of("otlp_endpoint"),
+                &Value::from("another address"),
+                "http://HOST:PORT without a user, such as http://127.0.0.1:4318",
+            ))
+        }
+        endpoint => Ok(endpoint),
+    }
 }
 
 fn read_cells(members: &ObjectReader<'_>) -> Result<Vec<PlacedCell>, ValueError> {

@@ -312,6 +312,12 @@ impl SceneStore {
     }
 
     /// Writes a revision ahead, then the scene.
+    #[tracing::instrument(
+        target = "skycell_traces",
+        level = "trace",
+        name = "keep revision",
+        skip_all
+    )]
     fn keep(
         &self,
         journal: &mut Journal,
