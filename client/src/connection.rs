@@ -71,7 +71,9 @@ pub enum ConnectionError {
     /// The server ended the session.
     #[error("the server closed the connection ({reason})")]
     Closed {
-        /// Close code and reason, if it gave any.
+        /// The close code, if it gave any.
+        code: Option<u16>,
+        /// Code and reason, if it gave any.
         reason: String,
     },
     /// The connection broke.
@@ -93,6 +95,7 @@ impl From<tungstenite::Error> for ConnectionError {
         match error {
             tungstenite::Error::ConnectionClosed | tungstenite::Error::AlreadyClosed => {
                 Self::Closed {
+                    code: None,
                     reason: "no reason given".to_owned(),
                 }
             }
@@ -145,6 +148,9 @@ pub enum Event {
     Status(Status),
     /// Something that we said was not allowed; the session goes on.
     Complaint(ErrorMessage),
+    /// The connection was lost and is there again ([`crate::Session`] alone says so): another viewer for the server, which
+    /// knows the last camera as input 0.
+    Resumed,
 }
 
 /// A session with a server, from its welcome on.
@@ -309,6 +315,7 @@ impl Wire {
         self.last_heard = Instant::now();
         match message {
             Some(Ok(Message::Close(close))) => Err(ConnectionError::Closed {
+                code: close.as_ref().map(|close| close.code.into()),
                 reason: close
                     .map_or_else(|| "no reason given".to_owned(), |close| close.to_string()),
             }),

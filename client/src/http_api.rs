@@ -257,12 +257,16 @@ impl HttpApi {
         url
     }
 
-    /// What stands at a path of the API, such as `api/v1/presets`.
+    /// What stands at a path of the API, such as `api/v1/presets` or `api/v1/scene/revisions?limit=5`.
     ///
     /// # Errors
     /// If the server is not there or its answer is not JSON.
     pub async fn get_json(&self, path: &str) -> Result<Value, HttpApiError> {
-        let url = self.address.http_url(path);
+        let (path, query) = path
+            .split_once('?')
+            .map_or((path, None), |(path, query)| (path, Some(query)));
+        let mut url = self.address.http_url(path);
+        url.set_query(query);
         let request = self.client.get(url.clone());
         let (_, body) = self.answer(request, Method::GET, &url).await?;
         json_of(&url, &body)
@@ -285,6 +289,30 @@ impl HttpApi {
         let choice = json!({"name": name, "transition_s": transition_s});
         self.send_json(Method::POST, "api/v1/scene/preset", &choice)
             .await
+    }
+
+    /// Brings an earlier revision back, or undoes the last change, on the way there for `transition_s`. `etag` is the scene
+    /// that is meant, `*` for whatever it is.
+    ///
+    /// # Errors
+    /// [`HttpApiError::Refused`] with 409 if nothing is left to undo, 412 if the scene has changed, 422 if the revision is
+    /// not kept.
+    pub async fn revert(
+        &self,
+        revision: Option<u64>,
+        transition_s: f64,
+        etag: &str,
+    ) -> Result<SceneRevision, HttpApiError> {
+        let url = self.address.http_url("api/v1/scene/revert");
+        let body = json!({"revision": revision, "transition_s": transition_s});
+        let request = self
+            .client
+            .post(url.clone())
+            .timeout(CHANGE_TIMEOUT)
+            .header(header::CONTENT_TYPE, "application/json")
+            .header(header::IF_MATCH, etag)
+            .body(body.to_string());
+        self.scene_of(request, Method::POST, &url).await
     }
 
     async fn send_json(

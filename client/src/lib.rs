@@ -1,7 +1,7 @@
 //! Thin clients of a Skycell server.
 //!
 //! [`Connection`] is a viewer without a screen: it says hello, moves its camera, receives frames
-//! and acknowledges them. [`HttpApi`] reads and patches the scene and reads the server's counters.
+//! and acknowledges them. [`Session`] comes back when it is lost. [`HttpApi`] reads and patches the scene and reads the server's counters.
 //! [`record`] and [`load`] are what the binary `skycell` does with them.
 
 pub mod camera_path;
@@ -13,9 +13,11 @@ pub mod picture;
 pub mod record;
 pub mod server_address;
 pub mod server_stats;
+pub mod session;
 pub mod unix_time;
 
 pub use connection::{Connection, ConnectionError, ConnectionLimits, Event, Frame};
 pub use http_api::{HttpApi, HttpApiError, MapChoice, SceneRevision};
 pub use server_address::{ServerAddress, ServerAddressError};
 pub use server_stats::ServerStats;
+pub use session::Session;

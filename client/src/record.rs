@@ -21,7 +21,7 @@ use crate::camera_path::CameraPath;
 use crate::clouds_file::{CloudsFileError, clouds_of, to_exr};
 use crate::picture::{PictureError, to_png};
 use crate::unix_time::unix_us_now;
-use crate::{Connection, ConnectionError, ConnectionLimits, Event, Frame, ServerAddress};
+use crate::{ConnectionError, ConnectionLimits, Event, Frame, ServerAddress, Session};
 
 /// Frames of one recording: an hour at 24 frames a second, and file names of five digits.
 pub const RECORDING_FRAMES_MAX: u32 = 99_999;
@@ -192,7 +192,7 @@ pub async fn record(
         haze: options.haze,
         ..Hello::new(options.size, options.fps, first)
     };
-    let mut connection = Connection::open(address, hello, ConnectionLimits::default()).await?;
+    let mut connection = Session::open(address, hello, ConnectionLimits::default()).await?;
     let welcome = connection.welcome().clone();
     let shown = match options.stereo {
         Some(_) => options.size.pair(),
@@ -248,7 +248,7 @@ impl Stage {
     /// Waits for a picture of `camera`.
     async fn show(
         &mut self,
-        connection: &mut Connection,
+        connection: &mut Session,
         camera: Camera,
         number: u32,
         options: &RecordOptions,
@@ -259,7 +259,28 @@ impl Stage {
             self.input = connection.send_camera(camera).await?;
             self.camera = camera;
         }
-        let begun = Instant::now();
+        let mut begun = Instant::now();
+        loop {
+            match self.wait(connection, number, options, begun).await? {
+                Some(frame) => return Ok(frame),
+                // The connection is another one, which knows the camera as input 0 and has sent nothing yet.
+                None => {
+                    begun = Instant::now();
+                    self.input = InputSequence(0);
+                    self.newest = None;
+                }
+            }
+        }
+    }
+
+    /// Waits for a picture of the last input; none when the connection was lost and is there again.
+    async fn wait(
+        &mut self,
+        connection: &mut Session,
+        number: u32,
+        options: &RecordOptions,
+        begun: Instant,
+    ) -> Result<Option<Frame>, RecordError> {
         let sharp_until = begun + options.sharp_wait;
         let any_until = begun + options.frame_timeout.max(options.sharp_wait);
         loop {
@@ -269,7 +290,7 @@ impl Stage {
                 .filter(|frame| frame.header.input >= self.input);
             let sharp = shown.is_some_and(|frame| !frame.header.coarse);
             if let (Some(frame), true) = (shown, sharp || Instant::now() >= sharp_until) {
-                return Ok(frame.clone());
+                return Ok(Some(frame.clone()));
             }
             let deadline = if shown.is_some() {
                 sharp_until
@@ -284,6 +305,7 @@ impl Stage {
                 Ok(Ok(Event::Complaint(complaint))) => {
                     return Err(ConnectionError::Refused(complaint).into());
                 }
+                Ok(Ok(Event::Resumed)) => return Ok(None),
                 Ok(Ok(_)) => {}
                 Ok(Err(error)) => return Err(error.into()),
                 Err(_) if shown.is_some() => {} // a coarse picture is taken

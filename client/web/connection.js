@@ -134,6 +134,17 @@ export function retryDelayMs(failures, random) {
   return longest_ms * (0.5 + 0.5 * random);
 }
 
+/**
+ * After how long a server that closes wants this viewer back: it tells each another time, so that they do not come at once.
+ *
+ * @param {string} reason  of the close frame, such as "the server shuts down; retry_after_s=1.7"
+ * @returns {number | null}  at most 15 s; null where it says nothing
+ */
+export function retryAfterMs(reason) {
+  const told = /\bretry_after_s=(\d+(?:\.\d+)?)/.exec(reason);
+  return told ? Math.min(RETRY_LONGEST_MS, Number(told[1]) * 1000) : null;
+}
+
 /** Wall clock in µs since 1970, finer than Date.now(). */
 export function unixMicros() {
   return Math.round((performance.timeOrigin + performance.now()) * 1000);
@@ -426,7 +437,7 @@ export class Connection {
     this.#forgetSession();
     this.#status.reconnects += 1;
     if (reason && !this.#status.problem) this.#status.problem = `${reason} (${code})`;
-    const delay_ms = retryDelayMs(this.#failures, Math.random());
+    const delay_ms = retryAfterMs(reason) ?? retryDelayMs(this.#failures, Math.random());
     this.#retry_ms = performance.now() + delay_ms;
     this.#change("waiting", was_open ? "Connection lost, trying again" : "No connection, trying again");
     this.#retry_timer = setTimeout(() => this.#open(), delay_ms);

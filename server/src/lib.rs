@@ -5,6 +5,7 @@
 pub mod clock;
 pub mod config;
 pub mod metrics;
+pub mod traces;
 
 pub mod quality;
 pub mod scene;

@@ -2,12 +2,13 @@
 
 mod serve;
 
+use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
-use skycell_server::config::{Config, Flags};
+use skycell_server::config::{Config, Flags, LogFormat};
 use skycell_server::doctor::{self, DoctorArguments};
 use skycell_server::measure::{self, MeasureArguments};
 use skycell_server::probe::{self, command::ProbeArguments};
@@ -28,6 +29,9 @@ enum Command {
         after_help = "Example: skycell-server serve --listen 127.0.0.1:8080 --state ~/.local/state/skycell"
     )]
     Serve(ServeArgs),
+    /// Print the resolved configuration, each value with where it comes from.
+    #[command(after_help = "Example: skycell-server config --config skycell.toml")]
+    Config(ServeArgs),
     /// Render one picture from a scene file and a camera, without a server.
     #[command(
         after_help = "Example: skycell-server render --scene sunset.json --yaw-deg 250 --pitch-deg 10 --out sunset.png"
@@ -54,11 +58,26 @@ struct ServeArgs {
     /// Read settings from this TOML file. SKYCELL_... variables and flags override it.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Write the log like this: a line for people, or a JSON object a line.
+    #[arg(long, value_name = "FORMAT")]
+    log_format: Option<LogFormat>,
+}
+
+impl ServeArgs {
+    fn flags(self) -> Flags {
+        Flags {
+            listen: self.listen,
+            state_dir: self.state,
+            log_format: self.log_format,
+            file: self.config,
+        }
+    }
 }
 
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Serve(args) => serve(args),
+        Command::Config(args) => print_config(args),
         Command::Render(arguments) => render_command::run(&arguments),
         Command::Probe(arguments) => probe::command::run(&arguments),
         Command::Measure(arguments) => measure::run(&arguments),
@@ -74,10 +93,14 @@ fn main() -> ExitCode {
 }
 
 fn serve(args: ServeArgs) -> anyhow::Result<()> {
-    let config = Config::load(&Flags {
-        listen: args.listen,
-        state_dir: args.state,
-        file: args.config,
-    })?;
-    serve::run(config)
+    serve::run(Config::load(&args.flags())?)
+}
+
+fn print_config(args: ServeArgs) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    for origin in Config::explain(&args.flags())? {
+        let value = origin.value.to_string();
+        writeln!(out, "{:<28} {value:<40} {}", origin.key, origin.from)?;
+    }
+    Ok(())
 }

@@ -1,6 +1,8 @@
 //! The service's figures for Prometheus. Each service has its own recorder, so that several can
 //! run in one process (tests do).
 
+mod service;
+
 use std::time::Duration;
 
 use metrics::{
@@ -13,6 +15,7 @@ use metrics_exporter_prometheus::{
 use metrics_util::MetricKindMask;
 
 use crate::frame_loop::interface::RenderStats;
+pub use service::ServiceFigures;
 
 /// Edges of the buckets of durations: from a small JPEG to a frame that is useless.
 const DURATION_BUCKETS_S: [f64; 14] = [
@@ -96,6 +99,7 @@ impl Metrics {
 }
 
 fn describe() {
+    service::describe();
     describe_gauge!("skycell_viewers", "Connected viewers");
     describe_counter!("skycell_frames_sent_total", "Frames handed to sockets");
     describe_counter!(
@@ -358,7 +362,7 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame_loop::interface::{CellStats, RenderTotals};
+    use crate::frame_loop::interface::{CellStats, RenderTotals, ViewerRenderStats};
 
     #[test]
     fn the_page_shows_the_services_and_the_renderers_figures() {
@@ -388,6 +392,52 @@ mod tests {
         ] {
             assert!(page.lines().any(|found| found == line), "{line} in\n{page}");
         }
+    }
+
+    /// Prometheus' rules for names: what is counted ends in `_total`, units are whole words at the end, all is explained.
+    #[test]
+    fn names_follow_the_rules_and_every_figure_is_explained() {
+        let metrics = Metrics::new().expect("good settings");
+        metrics.answered("GET", "/api/v1/scene", 200, Duration::from_millis(3));
+        let stats = RenderStats {
+            cells: vec![CellStats::default()],
+            viewers: vec![ViewerRenderStats::default()],
+            ..RenderStats::default()
+        };
+        metrics.set_service(&ServiceFigures::default(), &stats);
+        let page = metrics.render(1, &stats);
+        let mut seen = 0;
+        for line in page.lines() {
+            let Some((name, kind)) = line
+                .strip_prefix("# TYPE ")
+                .and_then(|rest| rest.split_once(' '))
+            else {
+                continue;
+            };
+            seen += 1;
+            assert!(
+                page.contains(&format!("# HELP {name} ")),
+                "{name} has no help"
+            );
+            let plain = name.starts_with("skycell_")
+                && name
+                    .chars()
+                    .all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
+            assert!(plain, "{name}");
+            assert_eq!(
+                name.ends_with("_total"),
+                kind == "counter",
+                "{name} is a {kind}"
+            );
+            let has_unit = ["_seconds", "_bytes"]
+                .iter()
+                .any(|unit| name.ends_with(unit));
+            assert!(kind != "histogram" || has_unit, "{name} has no unit");
+            for short in ["_ms", "_us", "_ns", "_s", "_mib", "_kb", "_count"] {
+                assert!(!name.ends_with(short), "{name}");
+            }
+        }
+        assert!(seen > 40, "{seen} figures");
     }
 
     #[test]

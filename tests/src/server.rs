@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Arc, LazyLock, OnceLock, mpsc};
 use std::time::Duration;
 
@@ -27,6 +27,12 @@ pub struct ServerOptions {
     pub render_toml: String,
     /// Added at the end: `[[cells]]`.
     pub cells_toml: String,
+    /// Listens here instead of on a free port: for one that takes another's place.
+    pub listen: Option<String>,
+    /// Further arguments of `serve`.
+    pub arguments: Vec<String>,
+    /// Further environment variables.
+    pub environment: Vec<(String, String)>,
 }
 
 /// A running server; killed when dropped.
@@ -100,10 +106,14 @@ impl Server {
         )?;
         let log = scratch.path().join("log");
         let mut child = Command::new(&binary)
-            .args(["serve", "--listen", "127.0.0.1:0", "--state"])
+            .args(["serve", "--listen"])
+            .arg(options.listen.as_deref().unwrap_or("127.0.0.1:0"))
+            .arg("--state")
             .arg(&state)
             .arg("--config")
             .arg(&config)
+            .args(&options.arguments)
+            .envs(options.environment.iter().cloned())
             // Ours, not the server's, which warns of SKYCELL_ variables that it does not know.
             .env_remove("SKYCELL_BIN_DIR")
             .stdin(Stdio::null())
@@ -256,6 +266,36 @@ impl Server {
         self.child.kill()?;
         self.child.wait()?;
         Ok(())
+    }
+
+    /// Sends the process a signal, such as `TERM`.
+    ///
+    /// # Errors
+    /// When there is no `kill`, or no process.
+    pub fn signal(&self, name: &str) -> anyhow::Result<()> {
+        let sent = Command::new("kill")
+            .arg(format!("-{name}"))
+            .arg(self.child.id().to_string())
+            .status()?;
+        ensure!(sent.success(), "kill -{name}: {sent}");
+        Ok(())
+    }
+
+    /// Waits until the process has ended by itself; how, and what it had logged. Gives its turn away.
+    ///
+    /// # Errors
+    /// When it does not end.
+    pub async fn end(mut self) -> anyhow::Result<(ExitStatus, String)> {
+        let status = until("an end", async || Ok(self.child.try_wait()?)).await?;
+        Ok((status, std::fs::read_to_string(&self.log)?))
+    }
+
+    /// All that it has logged so far.
+    ///
+    /// # Errors
+    /// When the log cannot be read.
+    pub fn log(&self) -> anyhow::Result<String> {
+        Ok(std::fs::read_to_string(&self.log)?)
     }
 
     /// The last lines that it logged.

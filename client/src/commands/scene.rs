@@ -18,7 +18,9 @@ Examples:
   skycell scene watch --changes 3
   skycell scene map put coverage storm.png --transition-s 60
   skycell scene time --pause
-  skycell scene preset set broken-sunset --transition-s 20";
+  skycell scene preset set broken-sunset --transition-s 20
+  skycell scene revisions
+  skycell scene revert";
 
 /// Reads, changes or watches the scene.
 #[derive(Debug, clap::Args)]
@@ -75,6 +77,28 @@ enum Command {
                       skycell scene time --date 2026-06-21T18:30:00Z --pause"
     )]
     Time(TimeArguments),
+    /// Lists the last revisions, newest first.
+    #[command(after_help = "Example:\n  skycell scene revisions --limit 5")]
+    Revisions {
+        /// How many.
+        #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100))]
+        limit: u32,
+    },
+    /// Brings an earlier revision back, or undoes the last change; done again, the change before.
+    #[command(
+        after_help = "Examples:\n  skycell scene revert                        # undo\n  \
+                      skycell scene revert 12 --transition-s 10"
+    )]
+    Revert {
+        /// The revision; without it, the last change is undone.
+        revision: Option<u64>,
+        /// How long the sky takes to get there.
+        #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+        transition_s: f64,
+        /// Only if the scene is this revision; without it, whatever it is.
+        #[arg(long, value_name = "REVISION")]
+        if_match: Option<u64>,
+    },
     /// Skies by name.
     #[command(
         after_help = "Examples:\n  skycell scene preset list\n  skycell scene preset set storm --transition-s 30"
@@ -194,6 +218,19 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
                 time_text(&report)
             })
         }
+        Command::Revisions { limit } => list_revisions(&api, json, limit).await,
+        Command::Revert {
+            revision,
+            transition_s,
+            if_match,
+        } => {
+            let etag = if_match.map_or_else(|| "*".to_owned(), |number| format!("\"{number}\""));
+            let scene = api.revert(revision, transition_s, &etag).await?;
+            if json {
+                return print_scene(&scene, json);
+            }
+            print_line(&format!("revision {}", revision_text(&scene)))
+        }
         Command::Preset {
             command: PresetCommand::List,
         } => {
@@ -217,6 +254,47 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
             print_line(&format!("{name} in {transition_s} s"))
         }
     }
+}
+
+/// What is kept, a line each.
+async fn list_revisions(api: &HttpApi, json: bool, limit: u32) -> anyhow::Result<()> {
+    let page = api
+        .get_json(&format!("api/v1/scene/revisions?limit={limit}"))
+        .await?;
+    for revision in page["revisions"].as_array().into_iter().flatten() {
+        print_line(&if json {
+            revision.to_string()
+        } else {
+            line_of_revision(revision)
+        })?;
+    }
+    Ok(())
+}
+
+fn line_of_revision(revision: &Value) -> String {
+    let text = |key: &str| revision[key].as_str().unwrap_or_default();
+    let mut what = text("kind").to_owned();
+    if let Some(about) = revision["about"].as_str() {
+        what.push_str(&format!(" {about}"));
+    }
+    if let Some(of) = revision["of"].as_u64() {
+        what.push_str(&format!(" to {of}"));
+    }
+    let mut changed: Vec<&str> = revision["changed"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(Value::as_str)
+        .collect();
+    let more = revision["changed_more"].as_u64().unwrap_or(0);
+    let more = (more > 0).then(|| format!("and {more} more"));
+    changed.extend(more.as_deref());
+    format!(
+        "{:>6}  {:<27}  {what:<24}  {}",
+        revision["revision"],
+        text("time"),
+        changed.join(" ")
+    )
 }
 
 /// The clock in a line.
@@ -314,4 +392,33 @@ pub(super) fn revision_text(scene: &SceneRevision) -> String {
     scene
         .revision()
         .map_or_else(|| scene.etag.clone(), |revision| revision.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_revision_is_told_in_a_line() {
+        let revision = json!({
+            "revision": 12, "time": "2026-06-21T10:00:00Z", "kind": "revert", "about": null, "of": 3,
+            "changed": ["/exposure_ev"], "changed_more": 2
+        });
+        let line = line_of_revision(&revision);
+        let words: Vec<&str> = line.split_whitespace().collect();
+        assert_eq!(
+            words,
+            [
+                "12",
+                "2026-06-21T10:00:00Z",
+                "revert",
+                "to",
+                "3",
+                "/exposure_ev",
+                "and",
+                "2",
+                "more"
+            ]
+        );
+    }
 }

@@ -12,7 +12,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 
 use super::ring::ViewerRing;
 use crate::unix_time::unix_us_now;
-use crate::{Connection, ConnectionError, ConnectionLimits, Event, Frame, ServerAddress};
+use crate::{ConnectionError, ConnectionLimits, Event, Frame, ServerAddress, Session};
 
 /// Inputs whose frames have not come; a server that is this far behind shows it in the frame age.
 const INPUTS_IN_FLIGHT_MAX: usize = 1024;
@@ -73,6 +73,8 @@ pub struct ViewerFigures {
     pub first_frame_ms: Option<f64>,
     /// Frames received, standing and turning.
     pub frames: u64,
+    /// How often the connection was lost and came back.
+    pub reconnects: u32,
     /// Only while turning.
     pub turning: Option<TurningFigures>,
 }
@@ -109,7 +111,7 @@ pub(super) async fn run_viewer(
 ) -> Result<ViewerFigures, ConnectionError> {
     let begun = Instant::now();
     let fps = hello.fps;
-    let mut connection = Connection::open(&address, hello, ConnectionLimits::default()).await?;
+    let mut connection = Session::open(&address, hello, ConnectionLimits::default()).await?;
     let viewer = connection.welcome().viewer;
     // A crowd that is gone has dropped the phase as well.
     let _ = joined.send(viewer);
@@ -117,6 +119,7 @@ pub(super) async fn run_viewer(
         viewer,
         first_frame_ms: None,
         frames: 0,
+        reconnects: 0,
         turning: None,
     };
     let mut turning: Option<Turning> = None;
@@ -152,6 +155,13 @@ pub(super) async fn run_viewer(
                     figures.first_frame_ms.get_or_insert(begun.elapsed().as_secs_f64() * 1000.0);
                     if let Some(turning) = &mut turning {
                         turning.received(&frame);
+                    }
+                }
+                Event::Resumed => {
+                    figures.reconnects = connection.reconnects();
+                    if let Some(turning) = &mut turning {
+                        // Their frames will not come.
+                        turning.inputs.clear();
                     }
                 }
                 Event::Complaint(complaint) => return Err(ConnectionError::Refused(complaint)),

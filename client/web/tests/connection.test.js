@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import test from "node:test";
-import { SUBPROTOCOL, connect, retryDelayMs } from "../connection.js";
+import { SUBPROTOCOL, connect, retryAfterMs, retryDelayMs } from "../connection.js";
 import { frameBytes } from "./frame-bytes.js";
 
 /** What the page sees of a WebSocket, driven by the test instead of a server. */
@@ -145,6 +145,13 @@ test("a frame of another version ends the connection with a reason", (t) => {
   socket.say(frameBytes({ version: 3 }));
   assert.equal(connection.status.state, "closed");
   assert.match(connection.status.message, /version 3/);
+});
+
+test("a server that closes says when to come back, and its time is taken", () => {
+  assert.equal(retryAfterMs("the server shuts down; retry_after_s=1.75"), 1750);
+  assert.equal(retryAfterMs("the server shuts down; retry_after_s=99"), 15_000);
+  assert.equal(retryAfterMs("no progress"), null);
+  assert.equal(retryAfterMs(""), null);
 });
 
 test("waits double, stay within 15 s and keep their upper half random", () => {

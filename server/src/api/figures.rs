@@ -109,7 +109,7 @@ pub(super) async fn stats(State(context): State<Arc<StreamContext>>) -> Json<Sta
 }
 
 /// Memory that this process holds, where the system tells as Linux does.
-fn resident_bytes() -> Option<u64> {
+pub(super) fn resident_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status
         .lines()

@@ -5,21 +5,22 @@ mod maps;
 mod page;
 mod presets;
 mod problem;
+mod revisions;
 mod scene;
 mod scene_time;
 
 use std::any::Any;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::Router;
-use axum::extract::State;
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
     X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
 use axum::http::{HeaderMap, StatusCode};
-use axum::middleware::map_response;
+use axum::middleware::{Next, from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use tower_http::catch_panic::CatchPanicLayer;
@@ -27,10 +28,13 @@ use tower_http::limit::RequestBodyLimitLayer;
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::timeout::TimeoutLayer;
 use tower_http::trace::TraceLayer;
+use tracing::Instrument;
 
 pub use problem::Problem;
 
+use crate::metrics::ServiceFigures;
 use crate::stream::{self, StreamContext};
+use crate::traces;
 
 /// The largest body of a request. The default scene has 1 KB, one with four layers 2 KB.
 pub const BODY_MAX_BYTES: usize = 64 * 1024;
@@ -55,6 +59,7 @@ pub fn router(context: Arc<StreamContext>) -> Router {
     let changes = Router::new()
         .route("/api/v1/scene", get(scene::get).patch(scene::patch))
         .route("/api/v1/scene/preset", post(presets::set))
+        .route("/api/v1/scene/revert", post(revisions::revert))
         .method_not_allowed_fallback(method_not_allowed)
         .layer(RequestBodyLimitLayer::new(BODY_MAX_BYTES))
         .layer(timeout(CHANGE_TIMEOUT));
@@ -66,6 +71,8 @@ pub fn router(context: Arc<StreamContext>) -> Router {
         )
         .route("/api/v1/scene/now", get(scene_time::now))
         .route("/api/v1/scene/events", get(scene_time::events))
+        .route("/api/v1/scene/revisions", get(revisions::list))
+        .route("/api/v1/scene/revisions/{revision}", get(revisions::get))
         .route("/api/v1/presets", get(presets::list))
         .route("/api/v1/presets/{name}", get(presets::get))
         .route("/api/v1/cells", get(figures::cells))
@@ -85,9 +92,10 @@ pub fn router(context: Arc<StreamContext>) -> Router {
                 .method_not_allowed_fallback(method_not_allowed)
                 .layer(timeout(MAP_TIMEOUT)),
         )
-        .with_state(context)
+        .with_state(Arc::clone(&context))
         .layer(CatchPanicLayer::custom(after_panic))
-        .layer(map_response(problem::unify));
+        .layer(map_response(problem::unify))
+        .layer(from_fn_with_state(context, count));
     security_headers()
         .into_iter()
         .fold(router, |router, (name, value)| {
@@ -143,8 +151,10 @@ async fn live() -> &'static str {
 /// The renderer has warmed up and runs, and the service is not shutting down.
 async fn ready(State(context): State<Arc<StreamContext>>) -> Result<&'static str, Problem> {
     let unready = |why| Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, why));
-    if context.shutdown.is_cancelled() {
+    if context.draining.is_cancelled() {
         unready("the server is shutting down")
+    } else if context.frame_loop.stats().device_loss.is_lost {
+        unready("the graphics device was lost and is being opened again")
     } else if !context.frame_loop.is_ready() {
         unready("the renderer is not ready")
     } else {
@@ -152,8 +162,56 @@ async fn ready(State(context): State<Arc<StreamContext>>) -> Result<&'static str
     }
 }
 
+/// Counts requests and the time that they take.
+async fn count(
+    State(context): State<Arc<StreamContext>>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let begun = Instant::now();
+    // Methods that nobody knows are one, so that strangers cannot make up labels; so are the page's files.
+    let method = match request.method().as_str() {
+        "GET" => "GET",
+        "HEAD" => "HEAD",
+        "PATCH" => "PATCH",
+        "POST" => "POST",
+        "PUT" => "PUT",
+        "DELETE" => "DELETE",
+        _ => "other",
+    };
+    let route = request.extensions().get::<MatchedPath>().cloned();
+    let route = route.as_ref().map_or("page", MatchedPath::as_str);
+    let span = tracing::trace_span!(
+        target: traces::TARGET,
+        "request",
+        otel.kind = "server",
+        http.request.method = method,
+        http.route = route,
+        http.response.status_code = tracing::field::Empty,
+    );
+    let response = next.run(request).instrument(span.clone()).await;
+    let status = response.status().as_u16();
+    span.record("http.response.status_code", status);
+    context
+        .metrics
+        .answered(method, route, status, begun.elapsed());
+    response
+}
+
 async fn metrics(State(context): State<Arc<StreamContext>>) -> impl IntoResponse {
     let stats = context.frame_loop.stats();
+    let is_draining = context.draining.is_cancelled();
+    let figures = ServiceFigures {
+        is_ready: !is_draining && context.frame_loop.is_ready(),
+        is_draining,
+        scene_revision: context.scene.snapshot().revision,
+        revisions_kept: context.scene.revisions().len(),
+        cpu: cpu_time::ProcessTime::try_now()
+            .ok()
+            .map(|time| time.as_duration()),
+        memory_bytes: figures::resident_bytes(),
+    };
+    context.metrics.set_service(&figures, &stats);
     let mut headers = HeaderMap::new();
     headers.insert(
         CONTENT_TYPE,

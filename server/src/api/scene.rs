@@ -71,8 +71,15 @@ pub(super) async fn change(
     change: impl FnOnce(&SceneStore) -> Result<SceneSnapshot, ScenePatchError> + Send + 'static,
 ) -> Result<SceneSnapshot, Problem> {
     let scene = Arc::clone(&context.scene);
-    match tokio::task::spawn_blocking(move || change(&scene)).await {
+    let span = tracing::trace_span!(
+        target: crate::traces::TARGET,
+        "scene change",
+        skycell.revision = tracing::field::Empty,
+    );
+    let told = span.clone();
+    match tokio::task::spawn_blocking(move || span.in_scope(|| change(&scene))).await {
         Ok(Ok(snapshot)) => {
+            told.record("skycell.revision", snapshot.revision);
             tracing::info!(revision = snapshot.revision, "scene changed");
             Ok(snapshot)
         }
@@ -186,6 +193,9 @@ pub(super) fn problem_of(error: ScenePatchError) -> Problem {
             }
         }
         ScenePatchError::Invalid(error) => Problem::bad_value(error),
+        ScenePatchError::NothingToUndo { .. } => {
+            Problem::new(StatusCode::CONFLICT, error.to_string())
+        }
         ScenePatchError::BadMap { pointer, error } => maps::map_problem(pointer, &error),
         ScenePatchError::MapsFull { .. } => maps::full_problem(&error),
         ScenePatchError::NotKept(error) => {

@@ -450,6 +450,12 @@ impl Caches {
         self.samples
     }
 
+    /// Counts on from the sums of caches whose device is gone.
+    pub fn count_on_from(&mut self, evicted: u64, refused: u64) {
+        self.evicted += evicted;
+        self.refused += refused;
+    }
+
     /// Tiles that have lost their slot to others so far.
     #[must_use]
     pub fn evicted(&self) -> u64 {

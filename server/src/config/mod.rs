@@ -20,7 +20,7 @@ use skycell_protocol::number_range::NumberRange;
 use skycell_protocol::read_json::{ObjectReader, ReadJson, read_name};
 use skycell_protocol::value_error::ValueError;
 
-pub use sources::{ConfigError, Flags};
+pub use sources::{ConfigError, Flags, Origin};
 
 /// How many viewers may be connected at once.
 pub const VIEWERS_MAX: NumberRange = NumberRange::new(1.0, 1024.0);
@@ -28,6 +28,10 @@ pub const VIEWERS_MAX: NumberRange = NumberRange::new(1.0, 1024.0);
 pub const ENCODER_THREADS: NumberRange = NumberRange::new(1.0, 64.0);
 /// After how long without progress a viewer is dropped.
 pub const VIEWER_STALL_S: NumberRange = NumberRange::new(1.0, 3600.0);
+/// How long no viewer is taken any more before the sessions are closed.
+pub const DRAIN_S: NumberRange = NumberRange::new(0.0, 3600.0);
+/// Share of frames that are traced.
+pub const OTLP_FRAME_SHARE: NumberRange = NumberRange::new(0.0, 1.0);
 /// How many view cells may be placed by hand.
 pub const CELLS_MAX: usize = 64;
 /// How many characters the name of a cell may have; at least one.
@@ -64,15 +68,33 @@ pub struct Config {
     pub encoder_threads: u32,
     /// A viewer that takes or says nothing for this long is dropped.
     pub viewer_stall_s: f64,
+    /// After SIGTERM: how long the server is not ready and takes no viewer before it closes the sessions.
+    pub drain_s: f64,
     /// Origins of other sites whose pages may open `/ws`, such as `https://example.org`. Pages of
     /// this server and clients that are no browsers always may.
     pub allowed_origins: Vec<String>,
     /// What to log, as `tracing` filters are written: `info`, `skycell_server=debug`.
     pub log: String,
+    /// How it is written.
+    pub log_format: LogFormat,
+    /// Base address of an OpenTelemetry collector that takes traces by OTLP over HTTP; none for no traces.
+    pub otlp_endpoint: Option<String>,
+    /// Share of frames whose stages are traced.
+    pub otlp_frame_share: f64,
     /// The renderer's settings.
     pub render: RenderConfig,
     /// View cells placed by hand.
     pub cells: Vec<PlacedCell>,
+}
+
+/// How the log is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum LogFormat {
+    /// A line for people.
+    Text,
+    /// A JSON object a line.
+    Json,
 }
 
 /// The renderer's settings: section `[render]`.
@@ -275,6 +297,16 @@ impl ReadJson for FrameFilter {
     }
 }
 
+impl ReadJson for LogFormat {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        read_name(
+            value,
+            pointer,
+            &[("text", Self::Text), ("json", Self::Json)],
+        )
+    }
+}
+
 impl ReadJson for PlacedCell {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
         let members = ObjectReader::new(value, pointer)?;
@@ -311,8 +343,12 @@ impl Config {
         "viewers_max",
         "encoder_threads",
         "viewer_stall_s",
+        "drain_s",
         "allowed_origins",
         "log",
+        "log_format",
+        "otlp_endpoint",
+        "otlp_frame_share",
         "render",
         "cells",
     ];
@@ -326,8 +362,12 @@ impl Config {
             // More than eight would starve whatever feeds them.
             encoder_threads: cores.clamp(1, 8) as u32,
             viewer_stall_s: 30.0,
+            drain_s: 5.0,
             allowed_origins: Vec::new(),
             log: "info".to_owned(),
+            log_format: LogFormat::Text,
+            otlp_endpoint: None,
+            otlp_frame_share: 0.01,
             render: RenderConfig {
                 grids_dir: state_dir.join("grids"),
                 maps_dir: state_dir.join("maps"),
@@ -365,8 +405,17 @@ impl Config {
                 VIEWER_STALL_S,
                 default.viewer_stall_s,
             )?,
+            drain_s: number(&members, "drain_s", DRAIN_S, default.drain_s)?,
             allowed_origins: members.member_or("allowed_origins", default.allowed_origins)?,
             log: members.member_or("log", default.log)?,
+            log_format: members.member_or("log_format", default.log_format)?,
+            otlp_endpoint: read_endpoint(&members)?.or(default.otlp_endpoint),
+            otlp_frame_share: number(
+                &members,
+                "otlp_frame_share",
+                OTLP_FRAME_SHARE,
+                default.otlp_frame_share,
+            )?,
             render: match members.optional::<Value>("render")? {
                 Some(render) => RenderConfig::read(&render, default.render)?,
                 None => default.render,
@@ -402,6 +451,26 @@ fn read_listen(members: &ObjectReader<'_>) -> Result<Option<SocketAddr>, ValueEr
             })
         })
         .transpose()
+}
+
+/// Without a user and a password, so that there is no secret in it.
+fn read_endpoint(members: &ObjectReader<'_>) -> Result<Option<String>, ValueError> {
+    let endpoint: Option<String> = members.optional("otlp_endpoint")?;
+    match endpoint {
+        Some(text)
+            if !text.starts_with("http://")
+                || text.len() == "http://".len()
+                || text.contains(['@', '?', '#', ' ']) =>
+        {
+            // It may hold what nobody should read in a log.
+            Err(ValueError::new(
+                members.pointer_of("otlp_endpoint"),
+                &Value::from("another address"),
+                "http://HOST:PORT without a user, such as http://127.0.0.1:4318",
+            ))
+        }
+        endpoint => Ok(endpoint),
+    }
 }
 
 fn read_cells(members: &ObjectReader<'_>) -> Result<Vec<PlacedCell>, ValueError> {

@@ -8,7 +8,7 @@ use skycell_protocol::read_json::nearest_name;
 use skycell_protocol::value_error::ValueError;
 use thiserror::Error;
 
-use super::Config;
+use super::{Config, LogFormat};
 
 /// What names of environment variables begin with.
 const PREFIX: &str = "SKYCELL_";
@@ -34,8 +34,12 @@ const KEYS: &[(&str, Kind)] = &[
     ("viewers_max", Kind::Number),
     ("encoder_threads", Kind::Number),
     ("viewer_stall_s", Kind::Number),
+    ("drain_s", Kind::Number),
     ("allowed_origins", Kind::List),
     ("log", Kind::Text),
+    ("log_format", Kind::Text),
+    ("otlp_endpoint", Kind::Text),
+    ("otlp_frame_share", Kind::Number),
     ("render/mip_bias", Kind::Number),
     ("render/samples", Kind::Number),
     ("render/quality", Kind::JsonOrText),
@@ -60,6 +64,8 @@ pub struct Flags {
     pub listen: Option<SocketAddr>,
     /// `--state`
     pub state_dir: Option<PathBuf>,
+    /// `--log-format`
+    pub log_format: Option<LogFormat>,
     /// `--config`
     pub file: Option<PathBuf>,
 }
@@ -97,18 +103,97 @@ pub enum ConfigError {
     Path(PathBuf),
 }
 
+/// A key of the resolved configuration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Origin {
+    /// `listen`, `render.samples`.
+    pub key: String,
+    /// What it is; null for what depends on the quality or on the machine.
+    pub value: Value,
+    /// The default, the file, a variable or a flag.
+    pub from: String,
+}
+
+/// The variables of this process that begin as ours do. One that is not UTF-8 is none of ours.
+fn own_variables() -> Vec<(String, String)> {
+    std::env::vars_os()
+        .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
+        .filter(|(name, _)| name.starts_with(PREFIX))
+        .collect()
+}
+
+/// The file that the flags or the environment name.
+fn file_of(flags: &Flags, variables: &[(String, String)]) -> Option<PathBuf> {
+    flags.file.clone().or_else(|| {
+        variables
+            .iter()
+            .find(|(name, _)| name == FILE_VARIABLE)
+            .map(|(_, value)| PathBuf::from(value))
+    })
+}
+
 impl Config {
     /// The configuration of this process: `flags` over its environment over the file.
     ///
     /// # Errors
     /// Says which source is wrong, and where.
     pub fn load(flags: &Flags) -> Result<Self, ConfigError> {
-        // A variable that is not UTF-8 is none of ours.
-        let variables = std::env::vars_os()
-            .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
-            .filter(|(name, _)| name.starts_with(PREFIX))
-            .collect::<Vec<_>>();
-        Self::resolve(flags, &variables)
+        Self::resolve(flags, &own_variables())
+    }
+
+    /// The same key by key, each with where it comes from.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn explain(flags: &Flags) -> Result<Vec<Origin>, ConfigError> {
+        Self::explain_with(flags, &own_variables())
+    }
+
+    /// As [`Config::explain`], with the environment as a value.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn explain_with(
+        flags: &Flags,
+        variables: &[(String, String)],
+    ) -> Result<Vec<Origin>, ConfigError> {
+        let config = Self::resolve(flags, variables)?;
+        // Strings, numbers and lists only, so that writing them cannot fail.
+        let config = serde_json::to_value(config).unwrap_or_default();
+        let file = file_of(flags, variables);
+        let written = file
+            .as_deref()
+            .map(read_file)
+            .transpose()?
+            .map(Value::Object);
+        let mut by_flags = Map::new();
+        set_from_flags(&mut by_flags, flags)?;
+        let by_flags = Value::Object(by_flags);
+        let mut found = Vec::new();
+        for pointer in leaves(&config) {
+            let key = pointer.trim_start_matches('/').to_owned();
+            let variable = variable_of(&key);
+            // Keys of `proxies` stand in `[render]` itself.
+            let in_file = pointer.replace("/proxies/", "/");
+            let from = if by_flags.pointer(&pointer).is_some() {
+                "the command line".to_owned()
+            } else if variables.iter().any(|(name, _)| *name == variable) {
+                variable
+            } else if let (Some(path), Some(_)) = (
+                &file,
+                written.as_ref().and_then(|tree| tree.pointer(&in_file)),
+            ) {
+                path.display().to_string()
+            } else {
+                "default".to_owned()
+            };
+            found.push(Origin {
+                value: config.pointer(&pointer).cloned().unwrap_or_default(),
+                key: key.replace('/', "."),
+                from,
+            });
+        }
+        Ok(found)
     }
 
     /// As [`Config::load`], with the environment as a value.
@@ -117,14 +202,8 @@ impl Config {
     /// Says which source is wrong, and where.
     pub fn resolve(flags: &Flags, variables: &[(String, String)]) -> Result<Self, ConfigError> {
         let mut tree = Map::new();
-        let file = flags.file.clone().or_else(|| {
-            variables
-                .iter()
-                .find(|(name, _)| name == FILE_VARIABLE)
-                .map(|(_, value)| PathBuf::from(value))
-        });
         let mut config = None;
-        if let Some(path) = file {
+        if let Some(path) = file_of(flags, variables) {
             tree = read_file(&path)?;
             config = Some(check(&tree, || format!("file {}", path.display()))?);
         }
@@ -137,6 +216,20 @@ impl Config {
         // Set above: without a file the second step always does.
         config.map_or_else(|| check(&tree, String::new), Ok)
     }
+}
+
+/// JSON pointers of a configuration's values: of sections those of their keys.
+fn leaves(config: &Value) -> Vec<String> {
+    let mut found = Vec::new();
+    for (key, value) in config.as_object().into_iter().flatten() {
+        match value {
+            Value::Object(section) if key == "render" => {
+                found.extend(section.keys().map(|inner| format!("/{key}/{inner}")));
+            }
+            _ => found.push(format!("/{key}")),
+        }
+    }
+    found
 }
 
 fn check(tree: &Map<String, Value>, origin: impl Fn() -> String) -> Result<Config, ConfigError> {
@@ -229,7 +322,14 @@ fn set_from_flags(tree: &mut Map<String, Value>, flags: &Flags) -> Result<bool, 
             .ok_or_else(|| ConfigError::Path(path.clone()))?;
         set(tree, "state_dir", Value::from(text));
     }
-    Ok(flags.listen.is_some() || flags.state_dir.is_some())
+    if let Some(format) = flags.log_format {
+        let name = match format {
+            LogFormat::Text => "text",
+            LogFormat::Json => "json",
+        };
+        set(tree, "log_format", Value::from(name));
+    }
+    Ok(flags.listen.is_some() || flags.state_dir.is_some() || flags.log_format.is_some())
 }
 
 /// Sets `key` or `section/key`.

@@ -41,7 +41,7 @@ fn flags_beat_the_environment_and_the_environment_beats_the_file() {
     let flags = Flags {
         listen: Some(SocketAddr::from(([127, 0, 0, 1], 3))),
         state_dir: Some(PathBuf::from("state")),
-        file: None,
+        ..Flags::default()
     };
     let config = Config::resolve(&flags, &environment).expect("resolves");
     assert_eq!(config.listen.port(), 3);
@@ -227,5 +227,52 @@ fn budgets_come_from_both_sources_and_are_refused_out_of_range() {
     ] {
         let error = resolve(text, &[]).expect_err(text).to_string();
         assert!(error.contains(named), "{error}");
+    }
+}
+
+#[test]
+fn each_value_is_told_with_where_it_comes_from() {
+    let file = file("viewers_max = 2\nlog = 'debug'\n[render]\nsamples = 4\n");
+    let flags = Flags {
+        listen: Some(SocketAddr::from(([127, 0, 0, 1], 3))),
+        file: Some(file.path().to_owned()),
+        ..Flags::default()
+    };
+    let environment = variables(&[("SKYCELL_LOG", "warn"), ("SKYCELL_DRAIN_S", "7")]);
+    let told = Config::explain_with(&flags, &environment).expect("resolves");
+    let path = file.path().display().to_string();
+    for (key, value, from) in [
+        (
+            "listen",
+            serde_json::json!("127.0.0.1:3"),
+            "the command line",
+        ),
+        ("log", serde_json::json!("warn"), "SKYCELL_LOG"),
+        ("drain_s", serde_json::json!(7.0), "SKYCELL_DRAIN_S"),
+        ("viewers_max", serde_json::json!(2), &path),
+        ("render.samples", serde_json::json!(4), &path),
+        ("viewer_stall_s", serde_json::json!(30.0), "default"),
+        ("render.march_steps", Value::Null, "default"),
+    ] {
+        let found = told.iter().find(|origin| origin.key == key).expect(key);
+        assert_eq!((&found.value, found.from.as_str()), (&value, from), "{key}");
+    }
+}
+
+#[test]
+fn a_collectors_address_has_no_secrets() {
+    let good = resolve("otlp_endpoint = 'http://127.0.0.1:4318'", &[]).expect("resolves");
+    assert_eq!(good.otlp_endpoint.as_deref(), Some("http://127.0.0.1:4318"));
+    for bad in [
+        "http://",
+        "localhost:4318",
+        "http://me:secret@host:4318",
+        "http://host/?key=secret",
+    ] {
+        let message = resolve(&format!("otlp_endpoint = '{bad}'"), &[])
+            .expect_err("refused")
+            .to_string();
+        assert!(message.contains("http://HOST:PORT"), "{message}");
+        assert!(!message.contains("secret"), "{message}");
     }
 }

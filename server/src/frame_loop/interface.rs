@@ -127,6 +127,9 @@ pub enum RenderCommand {
         /// Its revision.
         revision: u64,
     },
+    /// Lose the device, as a driver that fails does; for tests.
+    #[doc(hidden)]
+    LoseDevice,
     /// End the frame loop; nothing follows.
     Shutdown,
 }
@@ -307,10 +310,25 @@ pub struct RenderStats {
     pub transitions: TransitionStats,
     /// What is given up because memory or time do not suffice.
     pub losses: LossStats,
+    /// How often the device was lost.
+    pub device_loss: DeviceLossStats,
     /// The view cells that exist.
     pub cells: Vec<CellStats>,
     /// The viewers that the loop knows.
     pub viewers: Vec<ViewerRenderStats>,
+}
+
+/// Losses of the device. Viewers stay; they see their last picture until another device is open.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct DeviceLossStats {
+    /// How often it was lost since the start.
+    pub losses: u64,
+    /// How often it could not be opened again at once.
+    pub failed_openings: u64,
+    /// It is lost now.
+    pub is_lost: bool,
+    /// Why it was lost last.
+    pub reason: Option<String>,
 }
 
 /// The sky's clock, and what it costs.

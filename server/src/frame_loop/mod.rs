@@ -6,6 +6,7 @@ mod awaited_scene;
 mod budgets;
 mod cells_on_device;
 mod clouds;
+mod device_loss;
 mod domes_on_device;
 #[cfg(test)]
 mod driven;

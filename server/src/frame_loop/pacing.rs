@@ -1,15 +1,15 @@
 //! When things happen: whose frame is due, how much is marched between frames, when to rest.
 
+use super::device_loss::{self, LoopPlan};
 use super::interface::{
-    FRAMES_IN_FLIGHT_MAX, FrameLoopHandle, FrameSink, RenderCommand, StatsCell,
-    render_command_channel,
+    DeviceLossStats, FRAMES_IN_FLIGHT_MAX, FrameLoopHandle, FrameSink, RenderCommand, RenderStats,
+    StatsCell, ViewRequest, render_command_channel,
 };
 use super::renderer::SkyRenderer;
-use super::screen_space::WindowChoice;
 use super::viewers_on_device::ActiveViewer;
 use crate::clock;
 use crate::config::{PlacedCell, RenderConfig};
-use crate::gpu::{BlendStep, Gpu, GpuError, TimedPass};
+use crate::gpu::{BlendStep, GpuError, TimedPass};
 use skycell_protocol::{RendererKind, Scene, Show, ViewerId};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -76,11 +76,14 @@ struct Pace {
 
 /// The render thread.
 pub struct FrameLoop {
-    renderer: SkyRenderer,
-    sink: Arc<dyn FrameSink>,
-    stats: Arc<StatsCell>,
+    pub(super) renderer: SkyRenderer,
+    /// What it takes to open another renderer.
+    pub(super) plan: LoopPlan,
+    pub(super) sink: Arc<dyn FrameSink>,
+    pub(super) stats: Arc<StatsCell>,
     paces: BTreeMap<ViewerId, Pace>,
-    started: Instant,
+    pub(super) started: Instant,
+    pub(super) device_loss: DeviceLossStats,
     time: Instant,
     stats_due: Instant,
     ns_per_tile: f64,
@@ -117,19 +120,35 @@ impl FrameLoop {
         sink: Arc<dyn FrameSink>,
         cells: &[PlacedCell],
     ) -> Result<(FrameLoopHandle, JoinHandle<()>), GpuError> {
-        let gpu = Gpu::open_blocking()?;
-        let mut renderer = SkyRenderer::new(gpu, config, scene.clone(), revision, cells)?;
-        renderer.window_choice = WindowChoice::ByQuality;
-        renderer.let_qualities_be_chosen()?;
-        renderer.let_time_pass(scene, revision)?;
-        renderer.warm_up()?;
+        let plan = LoopPlan {
+            config,
+            cells: cells.to_vec(),
+            document: scene,
+            revision,
+        };
+        let renderer = plan.open()?;
         let (sender, commands) = render_command_channel();
         let stats = StatsCell::new();
         stats.publish(renderer.stats(0.0));
         let handle = FrameLoopHandle::new(sender, stats.clone());
+        let frame_loop = Self::of(renderer, plan, sink, stats);
+        let ready = frame_loop.stats.ready();
+        let thread = std::thread::Builder::new()
+            .name("render".into())
+            .spawn(move || device_loss::run(frame_loop, ready, &commands))?;
+        Ok((handle, thread))
+    }
+
+    /// The loop of an open renderer.
+    pub(super) fn of(
+        renderer: SkyRenderer,
+        plan: LoopPlan,
+        sink: Arc<dyn FrameSink>,
+        stats: Arc<StatsCell>,
+    ) -> Self {
         let now = Instant::now();
-        let mut frame_loop = Self {
-            renderer,
+        Self {
+            plan,
             sink,
             stats,
             paces: BTreeMap::new(),
@@ -137,61 +156,51 @@ impl FrameLoop {
             time: now,
             stats_due: now,
             ns_per_tile: FIRST_TILE_NS,
-            cache_time_seen: (0, 0),
+            cache_time_seen: renderer.gpu_time(TimedPass::Cache),
             was_pending: false,
             audit_due: now,
             blended: now,
             march_credit_s: 0.0,
-        };
-        let ready = frame_loop.stats.ready();
-        let thread = std::thread::Builder::new()
-            .name("render".into())
-            .spawn(move || {
-                let _ready = ready;
-                frame_loop.run(&commands);
-            })?;
-        Ok((handle, thread))
+            device_loss: DeviceLossStats::default(),
+            renderer,
+        }
     }
 
-    fn run(&mut self, commands: &Receiver<RenderCommand>) {
-        let mut wait = Duration::ZERO;
-        loop {
-            match commands.recv_timeout(wait) {
-                Ok(command) => {
-                    let mut next = Some(command);
-                    while let Some(command) = next {
-                        if matches!(command, RenderCommand::Shutdown) {
-                            return;
-                        }
-                        self.apply(command);
-                        next = commands.try_recv().ok();
+    /// Takes what is said, waiting for it no longer than `wait`, and makes a turn; returns how long the next one may wait,
+    /// or nothing when the loop is to end.
+    pub(super) fn turn(
+        &mut self,
+        commands: &Receiver<RenderCommand>,
+        wait: Duration,
+    ) -> Option<Duration> {
+        match commands.recv_timeout(wait) {
+            Ok(command) => {
+                let mut next = Some(command);
+                while let Some(command) = next {
+                    if matches!(command, RenderCommand::Shutdown) {
+                        return None;
                     }
+                    self.apply(command);
+                    next = commands.try_recv().ok();
                 }
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return,
             }
-            if let Err(error) = self.renderer.gpu.device.poll(wgpu::PollType::Poll) {
-                tracing::error!(%error, "the device was lost; the renderer ends");
-                return;
-            }
-            wait = self.tick();
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return None,
         }
+        if self.renderer.gpu.loss().is_some() {
+            return Some(Duration::ZERO);
+        }
+        if let Err(error) = self.renderer.gpu.device.poll(wgpu::PollType::Poll) {
+            self.renderer.gpu.give_up(error.to_string());
+            return Some(Duration::ZERO);
+        }
+        Some(self.tick())
     }
 
     fn apply(&mut self, command: RenderCommand) {
         let now = Instant::now();
         match command {
-            RenderCommand::Join { viewer, view } => {
-                self.renderer.join(viewer, view);
-                let pace = Pace {
-                    due: now,
-                    moved: now,
-                    composited: None,
-                    change: Change::Seen,
-                    is_held: false,
-                };
-                self.paces.insert(viewer, pace);
-            }
+            RenderCommand::Join { viewer, view } => self.join(viewer, view),
             RenderCommand::SetCamera {
                 viewer,
                 input,
@@ -218,11 +227,30 @@ impl FrameLoop {
                 self.paces.remove(&viewer);
             }
             RenderCommand::SetScene { scene, revision } => {
+                (self.plan.document, self.plan.revision) = (scene.clone(), revision);
                 self.renderer.await_scene(scene, revision);
             }
-            // `run` ends the loop before it comes here.
+            RenderCommand::LoseDevice => {
+                self.renderer.gpu.device.destroy();
+                // As wgpu's callback does when a driver fails.
+                self.renderer.gpu.give_up("told to lose it".to_owned());
+            }
+            // The loop ends before it comes here.
             RenderCommand::Shutdown => {}
         }
+    }
+
+    pub(super) fn join(&mut self, viewer: ViewerId, view: ViewRequest) {
+        let now = Instant::now();
+        self.renderer.join(viewer, view);
+        let pace = Pace {
+            due: now,
+            moved: now,
+            composited: None,
+            change: Change::Seen,
+            is_held: false,
+        };
+        self.paces.insert(viewer, pace);
     }
 
     fn moved(&mut self, viewer: ViewerId, now: Instant) {
@@ -667,7 +695,10 @@ impl FrameLoop {
         if now >= self.stats_due || idle {
             self.stats_due = now + STATS_INTERVAL;
             let uptime_s = now.duration_since(self.started).as_secs_f64();
-            self.stats.publish(self.renderer.stats(uptime_s));
+            self.stats.publish(RenderStats {
+                device_loss: self.device_loss.clone(),
+                ..self.renderer.stats(uptime_s)
+            });
         }
     }
 

@@ -67,6 +67,7 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
         quality: renderer.scene_quality_stats(),
         transitions: renderer.transition_stats(),
         losses: renderer.loss_stats(),
+        device_loss: Default::default(),
         cells: renderer
             .cells
             .iter()

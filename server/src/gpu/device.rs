@@ -1,5 +1,7 @@
 //! Finding an adapter and opening it.
 
+use std::sync::{Arc, OnceLock};
+
 use crate::frame_loop::interface::AdapterStats;
 
 /// Why there is no device.
@@ -59,6 +61,8 @@ pub struct Gpu {
     pub info: wgpu::AdapterInfo,
     /// Whether passes can be timed on the device.
     pub timestamps: bool,
+    /// Why the device is lost, when it is.
+    lost: Arc<OnceLock<String>>,
 }
 
 /// What `doctor` tells about one adapter.
@@ -157,6 +161,21 @@ impl AdapterReport {
     }
 }
 
+/// What nobody waited for went wrong. A device that is out of memory, or fails inside, is taken for lost; whatever is said of
+/// one that is lost already is its echo. All else is a mistake of this program.
+fn uncaptured(lost: &OnceLock<String>, error: &wgpu::Error) {
+    if lost.get().is_some() {
+        tracing::debug!(%error, "a lost device");
+        return;
+    }
+    match error {
+        wgpu::Error::OutOfMemory { .. } | wgpu::Error::Internal { .. } => {
+            let _ = lost.set(error.to_string());
+        }
+        wgpu::Error::Validation { .. } => panic!("the device refuses what it was told: {error}"),
+    }
+}
+
 impl Gpu {
     /// Opens the best adapter: a real GPU before a software one.
     ///
@@ -193,12 +212,32 @@ impl Gpu {
                 adapter: info.name.clone(),
                 reason: error.to_string(),
             })?;
+        let lost = Arc::<OnceLock<String>>::default();
+        let told = Arc::clone(&lost);
+        device.set_device_lost_callback(move |reason, message| {
+            let _ = told.set(format!("{reason:?}, {message}"));
+        });
+        let told = Arc::clone(&lost);
+        device.on_uncaptured_error(Arc::new(move |error| uncaptured(&told, &error)));
         Ok(Self {
             device,
             queue,
             info,
             timestamps,
+            lost,
         })
+    }
+
+    /// Why the device is lost; none as long as it works. A lost device answers nothing any more: it has to be opened anew,
+    /// and must not be polled, for that would free mapped memory that others still read.
+    #[must_use]
+    pub fn loss(&self) -> Option<&str> {
+        self.lost.get().map(String::as_str)
+    }
+
+    /// Takes the device for lost.
+    pub fn give_up(&self, reason: String) {
+        let _ = self.lost.set(reason);
     }
 
     /// As [`Self::open`], for threads without a runtime.
@@ -289,5 +328,27 @@ impl Gpu {
             .poll(wgpu::PollType::wait_indefinitely())
             .map(|_| ())
             .map_err(|error| GpuError::Device(error.to_string()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_device_that_is_destroyed_is_known_to_be_lost() {
+        let gpu = Gpu::open_blocking().expect("a device");
+        assert_eq!(gpu.loss(), None);
+        gpu.device.destroy();
+        // Nothing is mapped, so it may be polled.
+        let _ = gpu.device.poll(wgpu::PollType::Poll);
+        assert!(
+            gpu.loss()
+                .is_some_and(|reason| reason.contains("Destroyed"))
+        );
+        // What is made on it is no panic.
+        let buffer = gpu.uniform_buffer("of a lost device", 16);
+        gpu.queue.write_buffer(&buffer, 0, &[0; 16]);
+        gpu.queue.submit([]);
     }
 }

@@ -93,6 +93,10 @@ struct Sum {
     units: AtomicU64,
 }
 
+/// Sums of a ring.
+#[derive(Debug)]
+pub struct TimingSums(Arc<Sums>);
+
 /// Timestamps for a handful of submissions under way. Without device timestamps it times nothing.
 #[derive(Debug)]
 pub struct TimingRing {
@@ -129,6 +133,17 @@ impl TimingRing {
             sums: Arc::default(),
             period_ns: f64::from(gpu.queue.get_timestamp_period()),
         }
+    }
+
+    /// Goes on with the sums of another ring, whose device is gone.
+    pub fn continue_sums(&mut self, sums: TimingSums) {
+        self.sums = sums.0;
+    }
+
+    /// The sums so far, to go on with on another device.
+    #[must_use]
+    pub fn sums(&self) -> TimingSums {
+        TimingSums(Arc::clone(&self.sums))
     }
 
     /// Submits one pass by itself, timed as `what` over `units` of work.

@@ -33,7 +33,7 @@ pub enum SceneFileError {
     /// The file holds no scene.
     #[error(
         "{path} holds no scene: {reason}. Nothing was overwritten: mend the file, or move it away \
-         to start with the default scene"
+         to start with the last revision in revisions.log, or without that with the default scene"
     )]
     Corrupt {
         /// The file.

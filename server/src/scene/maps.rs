@@ -7,7 +7,10 @@ use serde_json::{Value, json};
 use skycell_protocol::scene::{DensityModel, MapKind, WeatherDensity};
 use skycell_protocol::{Scene, SceneError};
 
+use super::history::all_named_files;
+use super::journal::Journal;
 use super::map_folder::{KeepError, MAPS_TOTAL_MAX_BYTES};
+use super::revision::{Cause, ChangeKind};
 use super::{Precondition, ScenePatchError, SceneSnapshot, SceneStore, file};
 use crate::field::{GreyMap, MapFileError, MapFileFormat, map_pointer, read_map_file};
 
@@ -94,20 +97,46 @@ impl SceneStore {
                 start: String::new(),
             })
         })?;
-        let _change = self.change.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut journal = self.change.lock().unwrap_or_else(PoisonError::into_inner);
         let before = self.snapshot();
         precondition.check(&before)?;
-        let name = self
-            .maps
-            .keep(bytes, format, &named_files(&before.scene))
-            .map_err(|error| match error {
-                KeepError::Io(error) => ScenePatchError::NotKept(error),
-                KeepError::Full { .. } => ScenePatchError::MapsFull {
-                    error: error.to_string(),
-                    allowed: format!("at most {MAPS_TOTAL_MAX_BYTES} bytes"),
-                },
-            })?;
-        self.set_map(&before, choice, Some(name), transition_s)
+        let name = self.keep_map(&mut journal, bytes, format)?;
+        self.set_map(&mut journal, &before, choice, Some(name), transition_s)
+    }
+
+    /// Keeps a file. Where there is no room, the oldest revisions are forgotten together with their maps, until there is
+    /// or only the present one is left. With the lock held.
+    fn keep_map(
+        &self,
+        journal: &mut Journal,
+        bytes: &[u8],
+        format: MapFileFormat,
+    ) -> Result<String, ScenePatchError> {
+        let mut revisions = self.history();
+        loop {
+            match self.maps.keep(bytes, format, &all_named_files(&revisions)) {
+                Ok(name) => {
+                    if revisions.len() < self.history().len() {
+                        journal.rewrite(&revisions)?;
+                        let mut named = all_named_files(&revisions);
+                        named.insert(name.clone());
+                        self.maps.collect(&named);
+                        self.set_history(revisions);
+                    }
+                    return Ok(name);
+                }
+                Err(KeepError::Io(error)) => return Err(ScenePatchError::NotKept(error)),
+                Err(KeepError::Full { .. }) if revisions.len() > 1 => {
+                    revisions.pop_front();
+                }
+                Err(error @ KeepError::Full { .. }) => {
+                    return Err(ScenePatchError::MapsFull {
+                        error: error.to_string(),
+                        allowed: format!("at most {MAPS_TOTAL_MAX_BYTES} bytes"),
+                    });
+                }
+            }
+        }
     }
 
     /// Brings the map that is made from the seed back.
@@ -120,28 +149,34 @@ impl SceneStore {
         choice: &MapChoice,
         transition_s: Option<f64>,
     ) -> Result<SceneSnapshot, ScenePatchError> {
-        let _change = self.change.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut journal = self.change.lock().unwrap_or_else(PoisonError::into_inner);
         let before = self.snapshot();
         precondition.check(&before)?;
-        self.set_map(&before, choice, None, transition_s)
+        self.set_map(&mut journal, &before, choice, None, transition_s)
     }
 
     /// With the lock held.
     fn set_map(
         &self,
+        journal: &mut Journal,
         before: &SceneSnapshot,
         choice: &MapChoice,
         name: Option<String>,
         transition_s: Option<f64>,
     ) -> Result<SceneSnapshot, ScenePatchError> {
         let (index, _) = chosen_layer(&before.scene, choice.layer.as_deref())?;
+        let layer = before.scene.layers()[index].name();
+        let cause = Cause {
+            about: Some(format!("{} of {layer}", choice.kind.name())),
+            ..Cause::of_kind(ChangeKind::Maps)
+        };
         let mut document = file::document_of(&before.scene)?;
         let maps = &mut document["layers"][index]["density"]["maps"];
         maps[choice.kind.name()] = json!(name);
         if let Some(transition_s) = transition_s {
             maps["transition_s"] = json!(transition_s);
         }
-        self.take_over(before, &document)
+        self.take_over(journal, before, &document, &cause)
     }
 
     /// A layer's map as it was put, or as it is made from the seed, and the scene that it belongs to. Blocks while the

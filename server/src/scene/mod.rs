@@ -1,17 +1,20 @@
 //! The scene that the service shows: its revision, its changes, and its copy on disk.
 //!
 //! Invariant: a revision that anybody has seen is on disk. A change is written and synced before
-//! it is announced.
+//! it is announced: first to the journal of revisions, then as `scene.json`.
 
 mod file;
+mod history;
+mod journal;
 mod map_folder;
 mod maps;
 mod presets;
+mod revision;
 #[cfg(test)]
 mod tests;
 
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use serde_json::Value;
 use skycell_protocol::scene::{StillSceneDocument, TimeChange, TimeDocument, TransitionDocument};
@@ -23,9 +26,16 @@ use crate::clock;
 use crate::field::{FieldStore, MapFileError, check_grids, check_maps};
 use file::SceneFile;
 pub use file::SceneFileError;
+use history::{Revisions, all_named_files};
+use journal::Journal;
 use map_folder::MapFolder;
 pub use maps::MapChoice;
 pub use presets::{Preset, preset, presets};
+use revision::Cause;
+pub use revision::{ChangeKind, Revision};
+
+/// How many revisions are kept: as many undos, and maps of as many revisions.
+pub const REVISIONS_MAX: usize = 100;
 
 /// A scene and the number of its revision.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,6 +94,12 @@ pub enum ScenePatchError {
         /// How many there may be.
         allowed: String,
     },
+    /// There is no change left to undo.
+    #[error("nothing is left to undo: revision {oldest} is the oldest that is kept")]
+    NothingToUndo {
+        /// The oldest revision that is kept.
+        oldest: u64,
+    },
     /// What the change would make is no scene.
     #[error("{0}")]
     Invalid(#[from] SceneError),
@@ -102,7 +118,9 @@ pub struct SceneStore {
     /// Where maps are kept as the device reads them.
     field: FieldStore,
     /// Held while a change is made, so that changes follow each other.
-    change: Mutex<()>,
+    change: Mutex<Journal>,
+    /// What the journal holds. Apart from it, so that nobody who reads waits for a change.
+    history: RwLock<Revisions>,
     current: watch::Sender<SceneSnapshot>,
 }
 
@@ -125,24 +143,15 @@ impl SceneStore {
     pub fn open_with(state_dir: PathBuf, field: FieldStore) -> Result<Self, SceneFileError> {
         let grids_dir = state_dir.join("grids");
         let maps = MapFolder::new(state_dir.join("maps"));
-        let file = SceneFile::in_folder(state_dir)?;
-        let snapshot = match file.read()? {
-            Some(snapshot) => snapshot,
-            None => {
-                let snapshot = SceneSnapshot {
-                    scene: Arc::new(first_scene(clock::now())),
-                    revision: 1,
-                };
-                file.write(&snapshot)?;
-                snapshot
-            }
-        };
+        let file = SceneFile::in_folder(state_dir.clone())?;
+        let (snapshot, revisions, journal) = history::recover(state_dir, &file, clock::now())?;
         Ok(Self {
             file,
             grids_dir,
             maps,
             field,
-            change: Mutex::new(()),
+            change: Mutex::new(journal),
+            history: RwLock::new(revisions),
             current: watch::Sender::new(snapshot),
         })
     }
@@ -170,7 +179,8 @@ impl SceneStore {
         patch: &Value,
     ) -> Result<SceneSnapshot, ScenePatchError> {
         let says_where = patch.get("drift").is_some();
-        self.change(precondition, says_where, |before, _| {
+        let cause = Cause::of_kind(ChangeKind::Patch);
+        self.change(precondition, says_where, &cause, |before, _| {
             let mut document = file::document_of(before)?;
             json_patch::merge(&mut document, patch);
             Ok(SceneDocument::from_json(&document)?)
@@ -186,7 +196,8 @@ impl SceneStore {
         precondition: &Precondition,
         time_change: &TimeChange,
     ) -> Result<SceneSnapshot, ScenePatchError> {
-        self.change(precondition, false, |before, now| {
+        let cause = Cause::of_kind(ChangeKind::Time);
+        self.change(precondition, false, &cause, |before, now| {
             let mut document = before.to_document();
             document.time = document.time.changed(now, time_change);
             Ok(document)
@@ -203,7 +214,11 @@ impl SceneStore {
         preset: &Preset,
         transition_s: f64,
     ) -> Result<SceneSnapshot, ScenePatchError> {
-        self.change(precondition, false, |before, now| {
+        let cause = Cause {
+            about: Some(preset.name.clone()),
+            ..Cause::of_kind(ChangeKind::Preset)
+        };
+        self.change(precondition, false, &cause, |before, now| {
             let transition = TransitionDocument {
                 began: now,
                 duration_s: transition_s,
@@ -223,38 +238,55 @@ impl SceneStore {
         &self,
         precondition: &Precondition,
         says_where_clouds_are: bool,
+        cause: &Cause,
         edit: impl Fn(&Scene, Moment) -> Result<SceneDocument, ScenePatchError>,
     ) -> Result<SceneSnapshot, ScenePatchError> {
-        // The lock guards no data, so a panic while it was held has broken nothing.
-        let _change = self.change.lock().unwrap_or_else(PoisonError::into_inner);
+        // A journal that a panic has left in the middle of a line says so itself.
+        let mut journal = self.change.lock().unwrap_or_else(PoisonError::into_inner);
         let before = self.snapshot();
         precondition.check(&before)?;
+        self.edit(&mut journal, &before, says_where_clouds_are, cause, edit)
+    }
+
+    /// The same with the lock held.
+    fn edit(
+        &self,
+        journal: &mut Journal,
+        before: &SceneSnapshot,
+        says_where_clouds_are: bool,
+        cause: &Cause,
+        edit: impl Fn(&Scene, Moment) -> Result<SceneDocument, ScenePatchError>,
+    ) -> Result<SceneSnapshot, ScenePatchError> {
         // Maps of a seed or a pattern that nobody has asked for yet take seconds. They are made here, before the moment
         // of the change: a renderer that made them would hold its viewers up, and then the sky would jump.
         let wanted = Scene::try_from(edit(&before.scene, clock::now())?)?;
         self.field.prepare(&wanted, &before.scene);
         let now = clock::now();
         let document = edit(&before.scene, now)?;
-        self.make(&before, document, says_where_clouds_are, now)
+        self.make(journal, before, document, says_where_clouds_are, now, cause)
     }
 
     /// Makes a document the scene, keeps it and tells of it. With the lock held.
     fn take_over(
         &self,
+        journal: &mut Journal,
         before: &SceneSnapshot,
         document: &Value,
+        cause: &Cause,
     ) -> Result<SceneSnapshot, ScenePatchError> {
         let document = SceneDocument::from_json(document)?;
-        self.make(before, document, false, clock::now())
+        self.make(journal, before, document, false, clock::now(), cause)
     }
 
     /// With the lock held.
     fn make(
         &self,
+        journal: &mut Journal,
         before: &SceneSnapshot,
         mut document: SceneDocument,
         says_where_clouds_are: bool,
         now: Moment,
+        cause: &Cause,
     ) -> Result<SceneSnapshot, ScenePatchError> {
         let mut scene = Scene::try_from(document.clone())?;
         if scene == *before.scene {
@@ -274,10 +306,41 @@ impl SceneStore {
             scene: Arc::new(scene),
             revision: before.revision + 1,
         };
-        self.file.write(&after)?;
+        self.keep(journal, before, &after, now, cause)?;
         self.current.send_replace(after.clone());
-        self.maps.collect(&maps::named_files(&after.scene));
         Ok(after)
+    }
+
+    /// Writes a revision ahead, then the scene.
+    #[tracing::instrument(
+        target = "skycell_traces",
+        level = "trace",
+        name = "keep revision",
+        skip_all
+    )]
+    fn keep(
+        &self,
+        journal: &mut Journal,
+        before: &SceneSnapshot,
+        after: &SceneSnapshot,
+        now: Moment,
+        cause: &Cause,
+    ) -> Result<(), SceneFileError> {
+        let kept = self.history();
+        let mut revisions = kept.clone();
+        let scene = Arc::clone(&after.scene);
+        let revision = Revision::new(after.revision, now, cause, Some(&before.scene), scene)?;
+        history::add(&mut revisions, revision);
+        journal.keep(&revisions)?;
+        if let Err(error) = self.file.write(after) {
+            journal.take_back(&kept);
+            // Its name may have reached the disk.
+            let _ = self.file.write(before);
+            return Err(error);
+        }
+        self.maps.collect(&all_named_files(&revisions));
+        self.set_history(revisions);
+        Ok(())
     }
 }
 

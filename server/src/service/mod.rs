@@ -122,6 +122,7 @@ impl ServiceParts {
             .map_err(listen_error)?;
         let address = listener.local_addr().map_err(listen_error)?;
         let shutdown = CancellationToken::new();
+        let draining = CancellationToken::new();
         let context = Arc::new(StreamContext {
             viewers: self.viewers,
             frame_loop: frame_loop.clone(),
@@ -129,6 +130,7 @@ impl ServiceParts {
             metrics: Arc::clone(&self.metrics),
             stall: Duration::from_secs_f64(self.config.viewer_stall_s),
             allowed_origins: self.config.allowed_origins,
+            draining: draining.clone(),
             shutdown: shutdown.clone(),
             sessions: TaskTracker::new(),
             connections: connection_limit(self.config.viewers_max),
@@ -145,6 +147,7 @@ impl ServiceParts {
         ));
         Ok(Service {
             address,
+            draining,
             shutdown,
             sessions,
             server,
@@ -156,6 +159,7 @@ impl ServiceParts {
 /// The running service.
 pub struct Service {
     address: SocketAddr,
+    draining: CancellationToken,
     shutdown: CancellationToken,
     sessions: TaskTracker,
     server: JoinHandle<()>,
@@ -168,9 +172,16 @@ impl Service {
         self.address
     }
 
+    /// Takes no more viewers and is not ready any more, so that whoever spreads viewers over servers looks elsewhere.
+    /// Everything else goes on.
+    pub fn drain(&self) {
+        self.draining.cancel();
+    }
+
     /// Takes no more connections, closes the sessions (code 1012, service restart) and waits for
     /// them and for requests that run, at most five seconds.
     pub async fn shutdown(self) {
+        self.draining.cancel();
         self.shutdown.cancel();
         self.sessions.close();
         let ended = async {

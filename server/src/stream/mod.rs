@@ -15,7 +15,7 @@ use std::time::Duration;
 
 use axum::extract::State;
 use axum::extract::ws::{WebSocketUpgrade, rejection::WebSocketUpgradeRejection};
-use axum::http::header::{HOST, ORIGIN};
+use axum::http::header::{HOST, HeaderValue, ORIGIN, RETRY_AFTER};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use skycell_protocol::{INBOUND_MESSAGE_MAX_BYTES, SUBPROTOCOL};
@@ -53,6 +53,8 @@ pub struct StreamContext {
     pub stall: Duration,
     /// Origins of other sites whose pages may connect.
     pub allowed_origins: Vec<String>,
+    /// No viewer is taken any more when it is cancelled; those who are there stay.
+    pub draining: CancellationToken,
     /// Ends every session when it is cancelled.
     pub shutdown: CancellationToken,
     /// Knows the sessions that still run.
@@ -98,8 +100,10 @@ pub(crate) async fn upgrade(
         ));
     }
     let busy = |what: &str| Problem::new(StatusCode::SERVICE_UNAVAILABLE, what);
-    if context.shutdown.is_cancelled() {
-        return Err(busy("the server is shutting down"));
+    if context.draining.is_cancelled() {
+        // A proxy in front tries another server; without one, this one may be back soon.
+        return Err(busy("the server is shutting down")
+            .with_header(RETRY_AFTER, HeaderValue::from_static("5")));
     }
     let permit = Arc::clone(&context.connections)
         .try_acquire_owned()

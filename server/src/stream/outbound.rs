@@ -92,6 +92,7 @@ impl Outbound<'_> {
     async fn frame(&mut self, frame: EncodedFrame) -> Result<(), End> {
         let (header, message) = frame.into_message(std::time::Instant::now());
         self.context.metrics.frames_sent.increment(1);
+        crate::traces::frame_sent(&header);
         // Before it is sent: the acknowledgement may be there before the send returns.
         self.viewer
             .figures()

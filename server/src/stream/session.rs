@@ -11,6 +11,7 @@ use skycell_protocol::message::{Hello, ServerMessage, Welcome};
 use skycell_protocol::view::{FRAME_HEIGHT_MAX, FRAME_WIDTH_MAX, FRAMES_PER_SECOND};
 use skycell_protocol::{PROTOCOL_VERSION, ViewerId};
 use tokio::sync::mpsc;
+use tracing::Instrument;
 
 use super::StreamContext;
 use super::end::End;
@@ -36,7 +37,18 @@ pub(super) async fn run(mut socket: WebSocket, context: Arc<StreamContext>) {
     let (mut sink, mut stream) = socket.split();
     let end = match hello {
         Ok(hello) => {
-            let end = serve(&mut sink, &mut stream, &hello, &context).await;
+            let span = tracing::trace_span!(
+                target: crate::traces::TARGET,
+                parent: None,
+                "viewer session",
+                skycell.viewer = tracing::field::Empty,
+                skycell.width = hello.size.width(),
+                skycell.height = hello.size.height(),
+                skycell.frames_sent = tracing::field::Empty,
+            );
+            let end = serve(&mut sink, &mut stream, &hello, &context)
+                .instrument(span)
+                .await;
             tracing::debug!(?end, "session ends");
             end
         }
@@ -75,6 +87,8 @@ async fn serve(
         codec = ?view.codec,
         "viewer connects"
     );
+    let span = tracing::Span::current();
+    span.record("skycell.viewer", viewer.id().0);
     let join = RenderCommand::Join {
         viewer: viewer.id(),
         view,
@@ -88,11 +102,13 @@ async fn serve(
     };
     let (answers, waiting_answers) = mpsc::channel(ANSWERS_MAX);
     let welcome = ServerMessage::Welcome(welcome(&viewer, context));
-    tokio::select! {
+    let end = tokio::select! {
         end = inbound::read(stream, answers, &viewer, context) => end,
         end = outbound::write(sink, &welcome, waiting_answers, &viewer, context) => end,
         () = context.shutdown.cancelled() => End::restart(),
-    }
+    };
+    span.record("skycell.frames_sent", viewer.figures().frames_sent);
+    end
 }
 
 fn welcome(viewer: &Viewer, context: &StreamContext) -> Welcome {
@@ -128,14 +144,14 @@ async fn say_goodbye(
         let _ = tokio::time::timeout(CLOSE_TIMEOUT, sink.close()).await;
         return;
     };
-    tracing::debug!(code, reason, "closing a connection");
+    tracing::debug!(code, %reason, "closing a connection");
     let farewell = async {
         if let Some(Ok(message)) = error.map(|e| outbound::text_of(&ServerMessage::Error(e))) {
             sink.send(message).await?;
         }
         let frame = CloseFrame {
             code,
-            reason: reason.into(),
+            reason: reason.as_ref().into(),
         };
         sink.send(Message::Close(Some(frame))).await
     };

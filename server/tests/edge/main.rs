@@ -1,9 +1,11 @@
 //! The service edge over real HTTP and real WebSockets, with a stand-in for the renderer.
 
 mod client;
+mod durability;
 mod figures;
 mod lifecycle;
 mod maps;
+mod revisions;
 mod scene;
 mod sky_time;
 mod stand_in;

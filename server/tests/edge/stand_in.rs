@@ -169,7 +169,7 @@ impl State {
                     state.is_changed = true;
                 }
             }
-            RenderCommand::Shutdown => {}
+            RenderCommand::LoseDevice | RenderCommand::Shutdown => {}
         }
     }
 
