@@ -323,7 +323,7 @@ export function attachCellMap({ panel, canvas, told, opener, ownViewer }) {
     if (is_open) void refresh();
   }
 
-  opener.addEventListener("click", () => show(panel.hidden));
+  opener.addEventListener("click", () => show(panel.hidden === true));
   window.addEventListener("keydown", (event) => {
     if (event.key === "Escape" && !panel.hidden) {
       show(false);
