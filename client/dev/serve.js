@@ -27,21 +27,27 @@ const KINDS = {
 };
 
 /**
- * Holds every piece back for the same time.
+ * Holds every piece back, in order.
  * @param {() => number} delayMs
  */
 function delayed(delayMs) {
+  let last_due_ms = 0;
+  const due = () => {
+    last_due_ms = Math.max(last_due_ms, performance.now() + delayMs());
+    return last_due_ms - performance.now();
+  };
   return new Transform({
     // Room for what is on its way: a line holds more than one piece.
     writableHighWaterMark: 1 << 24,
     readableHighWaterMark: 1 << 24,
     transform(piece, _encoding, done) {
-      if (delayMs() > 0) setTimeout(() => this.push(piece), delayMs());
+      const wait_ms = due();
+      if (wait_ms > 0) setTimeout(() => this.destroyed || this.push(piece), wait_ms);
       else this.push(piece);
       done();
     },
     flush(done) {
-      setTimeout(done, delayMs());
+      setTimeout(done, due() + 1);
     },
   });
 }

@@ -92,7 +92,7 @@ export class SceneEditor {
   #told = null;
   #sending = false;
   #sent_ms = -Infinity;
-  /** Documents before each step. @type {any[]} */ #steps = [];
+  /** What the scene was before each step. @type {{ etag: string, document: any }[]} */ #steps = [];
   #edited_ms = -Infinity;
   /** @type {Set<(state: SceneState) => void>} */ #handlers = new Set();
   /** How many requests were sent. */
@@ -167,8 +167,27 @@ export class SceneEditor {
   async undo() {
     const before = this.#steps.pop();
     this.#edited_ms = -Infinity;
-    if (before) await this.replace(before, true);
+    if (before) await this.#revert(before);
     this.#announce();
+  }
+
+  /** @param {{ etag: string, document: any }} before */
+  async #revert({ etag, document }) {
+    this.requests += 1;
+    const revision = Number(etag.replaceAll('"', ""));
+    const response = await fetch("api/v1/scene/revert", {
+      method: "POST",
+      headers: { "Content-Type": "application/json", "If-Match": this.#etag },
+      body: JSON.stringify({ revision }),
+    });
+    if (response.ok) {
+      await this.#take(response);
+      this.tell("", false);
+    } else if (response.status === 404 || response.status === 422) {
+      await this.replace(document, true); // no longer kept there, but here
+    } else {
+      await this.#refused(response);
+    }
   }
 
   /** For what somebody else on the page changes: the scene before it is a step, too. */
@@ -179,7 +198,7 @@ export class SceneEditor {
   #beginStep(always = false) {
     const now_ms = performance.now();
     if (always || now_ms - this.#edited_ms > STEP_MS) {
-      this.#steps.push(this.state.draft);
+      this.#steps.push({ etag: this.#etag, document: this.state.draft });
       if (this.#steps.length > STEPS_MAX) this.#steps.shift();
     }
     this.#edited_ms = now_ms;
@@ -220,19 +239,24 @@ export class SceneEditor {
         this.tell("", false);
         return;
       }
-      this.#pending.clear();
       this.#steps.pop();
-      if (response.status === 412) {
-        await this.load();
-        this.tell("Somebody else changed the sky meanwhile: it is shown anew, and your last change was not made.", true);
-      } else {
-        this.tell(await refusal(response), true);
-      }
+      await this.#refused(response);
     } catch (error) {
       this.#pending.clear();
       this.tell(error instanceof Error ? error.message : String(error), true);
     }
     this.#announce();
+  }
+
+  /** @param {Response} response */
+  async #refused(response) {
+    this.#pending.clear();
+    if (response.status === 412) {
+      await this.load();
+      this.tell("Somebody else changed the sky meanwhile: it is shown anew, and your last change was not made.", true);
+    } else {
+      this.tell(await refusal(response), true);
+    }
   }
 
   /** @param {Response} response */

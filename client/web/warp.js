@@ -54,6 +54,15 @@ export function halfTangents({ vertical_fov_deg }, { width, height }) {
 }
 
 /**
+ * Columns of the rotation from one camera's axes to another's.
+ * @param {number[][]} from  right, up and ahead in the world
+ * @param {number[][]} to
+ */
+export function rotationBetween(from, to) {
+  return from.flatMap((axis) => to.map((row) => row[0] * axis[0] + row[1] * axis[1] + row[2] * axis[2]));
+}
+
+/**
  * How a picture is to be read to show what another camera at the same place sees.
  * @param {Camera} picture_camera
  * @param {Size} picture_size
@@ -62,11 +71,8 @@ export function halfTangents({ vertical_fov_deg }, { width, height }) {
  * @returns {Warp}
  */
 export function warpBetween(picture_camera, picture_size, shown_camera, shown_size) {
-  const to = axes(picture_camera);
-  const from = axes(shown_camera);
-  const picture_from_shown = from.flatMap((axis) => to.map((row) => row[0] * axis[0] + row[1] * axis[1] + row[2] * axis[2]));
   return {
-    picture_from_shown,
+    picture_from_shown: rotationBetween(axes(shown_camera), axes(picture_camera)),
     shown_tan: halfTangents(shown_camera, shown_size),
     picture_tan: halfTangents(picture_camera, picture_size),
   };
@@ -113,19 +119,27 @@ void main() {
   gl_Position = vec4(corner, 0.0, 1.0);
 }`;
 
-/** Beyond the picture's edge its last pixels go on. */
-const FRAGMENT = `#version 300 es
-precision highp float;
-uniform sampler2D picture;
+/**
+ * For shaders of others, too: `look_up(place)` is where in the picture (its first row at 0) a place of the shown one is, -1 to 1
+ * to the right and up. Beyond the picture's edge a texture that is clamped goes on with its last pixels.
+ */
+export const LOOK_UP_GLSL = `
 uniform mat3 picture_from_shown;
 uniform vec2 shown_tan;
 uniform vec2 picture_tan;
+vec2 look_up(vec2 place) {
+  vec3 ray = picture_from_shown * vec3(place * shown_tan, 1.0);
+  return 0.5 + vec2(0.5, -0.5) * ray.xy / max(ray.z, 1e-3) / picture_tan;
+}`;
+
+const FRAGMENT = `#version 300 es
+precision highp float;
+uniform sampler2D picture;
 in vec2 place;
 out vec4 colour;
+${LOOK_UP_GLSL}
 void main() {
-  vec3 ray = picture_from_shown * vec3(place * shown_tan, 1.0);
-  vec2 at = ray.xy / max(ray.z, 1e-3) / picture_tan;
-  colour = vec4(texture(picture, 0.5 + vec2(0.5, -0.5) * at).rgb, 1.0);
+  colour = vec4(texture(picture, look_up(place)).rgb, 1.0);
 }`;
 
 /** @type {Warp} */
