@@ -64,6 +64,17 @@ export function labelOf(key) {
 }
 
 /**
+ * Both at once; where they differ the second has it.
+ * @param {Schema} a
+ * @param {Schema} b
+ * @returns {Schema}
+ */
+function together(a, b) {
+  const properties = a.properties || b.properties ? { properties: { ...a.properties, ...b.properties } } : {};
+  return { ...a, ...b, ...properties };
+}
+
+/**
  * @param {Schema} root  the whole OpenAPI document
  * @param {Schema} schema
  * @returns {Schema}
@@ -73,11 +84,12 @@ function resolve(root, schema) {
   for (let steps = 0; typeof found.$ref === "string" && steps < 8; steps += 1) {
     const { $ref, ...beside } = found;
     const target = $ref.split("/").slice(1).reduce((at, key) => at?.[key], /** @type {any} */ (root)) ?? {};
-    found = { ...target, ...beside };
+    found = together(target, beside);
   }
   if (Array.isArray(found.allOf)) {
     const { allOf, ...beside } = found;
-    found = Object.assign({}, ...allOf.map((/** @type {Schema} */ part) => resolve(root, part)), beside);
+    const parts = allOf.map((/** @type {Schema} */ part) => resolve(root, part));
+    found = together(parts.reduce(together, {}), beside);
   }
   return found;
 }
@@ -201,8 +213,8 @@ function fieldOf(root, schema, value, path, label) {
     };
   }
   if (kind === "boolean" && typeof value === "boolean") return { ...head, kind, value, fallback };
-  const words = form.enum ?? (forms.every((one) => typeof one.const === "string") ? forms.map((one) => one.const) : null);
-  if (Array.isArray(words) && (typeof value === "string" || (nullable && value === null))) {
+  const words = forms.flatMap((one) => one.enum ?? (typeof one.const === "string" ? [one.const] : []));
+  if (words.length > 0 && (typeof value === "string" || (nullable && value === null))) {
     const names = words.filter((word) => typeof word === "string");
     return { ...head, kind: "choice", value: value ?? "", names: nullable ? ["", ...names] : names, fallback: fallback ?? (nullable ? "" : null) };
   }
