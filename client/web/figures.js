@@ -6,11 +6,11 @@ import { write } from "./dom.js";
 /** @typedef {import("./connection.js").ConnectionStatus} ConnectionStatus */
 /** @typedef {import("./connection.js").ServerStatus} ServerStatus */
 
-const grouped = new Intl.NumberFormat("en", { useGrouping: true });
+const compact = new Intl.NumberFormat("en", { notation: "compact", maximumSignificantDigits: 3 });
 
 /** @param {ServerStatus} server */
 function texelsText({ texels_pending, sky_converged }) {
-  if (texels_pending > 0) return `${grouped.format(texels_pending)} pending`;
+  if (texels_pending > 0) return `${compact.format(texels_pending)} pending`;
   return sky_converged ? "converged" : "none pending";
 }
 
