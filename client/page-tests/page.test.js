@@ -166,9 +166,13 @@ test("who has not seen somebody else's change does not overwrite it, and is told
   // The other's change comes between the slider's movement and the page's request: hold the page's news back.
   await page.evaluate(() => {
     const { editor } = /** @type {any} */ (window).skycell.scene;
-    editor.load = () => Promise.resolve();
+    editor.load = () => {
+      document.documentElement.dataset.heldBack = "yes";
+      return Promise.resolve();
+    };
   });
   await server.patch({ exposure_ev: 1.25 });
+  await page.waitForSelector("html[data-held-back]");
   const input = row.locator("input:not(.slide)");
   await page.evaluate(() => delete (/** @type {any} */ (window).skycell.scene.editor.load));
   await input.fill("77");
