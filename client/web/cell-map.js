@@ -9,6 +9,7 @@
  * @property {number} radius_m
  * @property {boolean} placed  by the operator
  * @property {number[]} viewers
+ * @property {number} [overlap]  0 to 1: the share of what its viewers request that they request in common
  *
  * @typedef {object} Viewer  as `/api/v1/viewers` tells it, in part
  * @property {number} id
@@ -21,6 +22,7 @@
  * @property {string} label
  * @property {boolean} placed
  * @property {boolean} empty
+ * @property {number} shared  0 to 1: what its viewers share
  * @property {string} colour
  * @property {number} x
  * @property {number} y
@@ -80,6 +82,11 @@ export function roundLength(metres) {
   return step * decade;
 }
 
+/** @param {Cell} cell */
+function sharedText({ viewers, overlap }) {
+  return viewers.length > 1 && overlap !== undefined ? ` · ${Math.round(overlap * 100)} % shared` : "";
+}
+
 /**
  * Where everything stands on a map of a width and height in pixels.
  * @param {Cell[]} cells
@@ -112,7 +119,8 @@ export function layoutMap(cells, viewers, own, width, height) {
   });
   const map_cells = cells.map((cell) => ({
     id: cell.id,
-    label: `${cell.name} · ${cell.viewers.length}`,
+    label: `${cell.name} · ${cell.viewers.length}${sharedText(cell)}`,
+    shared: cell.viewers.length > 1 ? (cell.overlap ?? 0) : 0,
     placed: cell.placed,
     empty: cell.viewers.length === 0,
     colour: colourOf(cell.id),
@@ -185,6 +193,11 @@ function drawMap(context, layout, width, height) {
     context.beginPath();
     context.arc(cell.x, cell.y, cell.radius, 0, 2 * Math.PI);
     context.stroke();
+    // The more its viewers share, the fuller.
+    context.globalAlpha = 0.22 * cell.shared;
+    context.fillStyle = cell.colour;
+    context.fill();
+    context.globalAlpha = cell.empty ? 0.5 : 1;
     context.setLineDash([]);
     // The reference point.
     context.beginPath();
@@ -323,7 +336,7 @@ export function attachCellMap({ panel, canvas, told, opener, ownViewer }) {
     if (is_open) void refresh();
   }
 
-  opener.addEventListener("click", () => show(panel.hidden));
+  opener.addEventListener("click", () => show(panel.hidden === true));
   window.addEventListener("keydown", (event) => {
     if (event.key === "Escape" && !panel.hidden) {
       show(false);

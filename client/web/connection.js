@@ -84,6 +84,7 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @typedef {object} Frame
  * @property {FrameHeader} header
  * @property {Uint8Array<ArrayBuffer>} payload  what `header.codec` says: a JPEG or PNG file, or what clouds.js reads
+ * @property {Camera | null} camera  the camera whose picture it is; null where it was asked for too long ago to know
  * @property {(times: { decode_us: number, present_us: number }) => void} presented  acknowledges; to be called once.
  *   decode_us: how long decoding took; present_us: when it was shown, µs since 1970
  */
@@ -174,6 +175,7 @@ export class Connection {
   #last_input = 0;
   #input_shown = 0;
   /** When each input was sent, ms. @type {Map<number, number>} */ #inputs_in_flight = new Map();
+  /** What each input looked at, from the one that is shown on. @type {Map<number, Camera>} */ #cameras = new Map();
   #failures = 0;
   #opened_ms = 0;
   #heard_ms = 0;
@@ -284,6 +286,7 @@ export class Connection {
     this.#socket = socket;
     socket.onopen = () => {
       this.#camera_sent = JSON.stringify(this.#camera);
+      this.#cameras = new Map([[0, this.#camera]]);
       this.#send({
         type: "hello",
         protocol: PROTOCOL,
@@ -346,9 +349,18 @@ export class Connection {
     const frame = {
       header,
       payload: new Uint8Array(message, message.byteLength - header.payload_bytes),
+      camera: this.#cameraOf(header.input),
       presented: this.#presenter(header),
     };
     for (const handler of this.#frame_handlers) handler(frame);
+  }
+
+  /** @param {number} input */
+  #cameraOf(input) {
+    for (const older of this.#cameras.keys()) {
+      if (older < input) this.#cameras.delete(older);
+    }
+    return this.#cameras.get(input) ?? null;
   }
 
   /**
@@ -410,11 +422,10 @@ export class Connection {
     this.#camera_sent = camera;
     this.#last_input += 1;
     this.#inputs_in_flight.set(this.#last_input, performance.now());
-    if (this.#inputs_in_flight.size > MAX_INPUTS_IN_FLIGHT) {
-      for (const oldest of this.#inputs_in_flight.keys()) {
-        this.#inputs_in_flight.delete(oldest);
-        break;
-      }
+    this.#cameras.set(this.#last_input, this.#camera);
+    for (const inputs of [this.#inputs_in_flight, this.#cameras]) {
+      const [oldest] = inputs.keys();
+      if (inputs.size > MAX_INPUTS_IN_FLIGHT && oldest !== undefined) inputs.delete(oldest);
     }
     this.#send({ type: "camera", input: this.#last_input, camera: this.#camera });
   }

@@ -125,7 +125,7 @@ export function compassPoint(yaw_deg) {
  * @param {object} options
  * @param {Camera} options.camera  where to start; also where the key Home leads
  * @param {() => number} options.pictureHeight  height of the picture as shown, CSS pixels
- * @param {(camera: Camera) => void} options.onChange
+ * @param {(camera: Camera, at_ms: number) => void} options.onChange  at_ms: when the hand moved, by performance.now()
  * @returns {{ camera: () => Camera, setCamera: (camera: Camera) => void, stop: () => void }}
  */
 export function attachLook(element, { camera: home, pictureHeight, onChange }) {
@@ -135,9 +135,9 @@ export function attachLook(element, { camera: home, pictureHeight, onChange }) {
   const listeners = new AbortController();
   const { signal } = listeners;
 
-  const change = (/** @type {Camera} */ next) => {
+  const change = (/** @type {Camera} */ next, at_ms = performance.now()) => {
     camera = next;
-    onChange(camera);
+    onChange(camera, at_ms);
   };
 
   /** Distance of the first two fingers; 0 without two. */
@@ -168,7 +168,7 @@ export function attachLook(element, { camera: home, pictureHeight, onChange }) {
       const share = 1 / pointers.size;
       let next = dragged(camera, (now.x - before.x) * share, (now.y - before.y) * share, pictureHeight());
       if (spread_before > 0) next = zoomed(next, clamp(spread() / spread_before, 0.5, 2));
-      change(next);
+      change(next, event.timeStamp);
     },
     { signal },
   );
@@ -184,7 +184,7 @@ export function attachLook(element, { camera: home, pictureHeight, onChange }) {
     (event) => {
       event.preventDefault();
       const pixels = event.deltaY * (PIXELS_PER_WHEEL_MODE[event.deltaMode] ?? 1);
-      change(zoomed(camera, Math.exp(-clamp(pixels, -600, 600) * ZOOM_PER_WHEEL_UNIT)));
+      change(zoomed(camera, Math.exp(-clamp(pixels, -600, 600) * ZOOM_PER_WHEEL_UNIT)), event.timeStamp);
     },
     { signal, passive: false },
   );
@@ -195,7 +195,7 @@ export function attachLook(element, { camera: home, pictureHeight, onChange }) {
       const next = keyed(camera, event.key, home);
       if (!next) return;
       event.preventDefault();
-      change(next);
+      change(next, event.timeStamp);
     },
     { signal },
   );

@@ -1,37 +1,37 @@
 // @ts-check
 /**
- * The page: one connection, one picture, one look, and a status line.
+ * The page: one connection, one picture, one look, and what stands around them.
  *
  * URL parameters: yaw, pitch, fov (degrees), width, height (pixels), fps, quality (a preset), show (a view's name), stereo
- * (how far two eyes are apart, metres). `/api/v1/views` lists the views.
+ * (how far two eyes are apart, metres), predict (off: frames are shown as they come). `/api/v1/views` lists the views.
  */
 
 import { attachCellMap } from "./cell-map.js";
 import { connect } from "./connection.js";
-import { attachMaps } from "./maps.js";
+import { element, write } from "./dom.js";
+import { showFigures } from "./figures.js";
+import { attachGraph } from "./graph.js";
+import { attachHelp, attachKeys } from "./keys.js";
 import { attachLook, clamp, compassPoint } from "./look.js";
-import { pictureSize } from "./picture-size.js";
+import { attachMaps } from "./maps.js";
+import { PROTOCOL_MAX_SIZE, pictureSize } from "./picture-size.js";
+import { attachScene } from "./scene.js";
+import { attachSide } from "./side.js";
 import { attachSkyControls } from "./sky-controls.js";
+import { savePicture } from "./snapshot.js";
+import { attachTheme } from "./theme.js";
 import { createView } from "./view.js";
 import { drawBar, fetchViews, tick } from "./views.js";
+import { withMargin } from "./warp.js";
 
 /** @typedef {import("./connection.js").ConnectionStatus} ConnectionStatus */
 /** @typedef {import("./picture-size.js").SizeChoice} SizeChoice */
+/** @typedef {import("./look.js").Camera} Camera */
 
 const SETTLE_AFTER_RESIZE_MS = 200;
 const DEFAULT_FPS = 30;
-
-/**
- * @template {HTMLElement} T
- * @param {string} id
- * @param {new () => T} type
- * @returns {T}
- */
-function element(id, type) {
-  const found = document.getElementById(id);
-  if (!(found instanceof type)) throw new Error(`the page has no #${id}`);
-  return found;
-}
+/** How much larger than shown a picture is asked for, so that there is something to turn to: 7.5 % beyond each edge. */
+const MARGIN = 0.15;
 
 const query = new URLSearchParams(location.search);
 
@@ -54,6 +54,7 @@ const size_chooser = element("size", HTMLSelectElement);
 const quality_chooser = element("quality", HTMLSelectElement);
 const show_chooser = element("show", HTMLSelectElement);
 const stereo_box = element("stereo", HTMLInputElement);
+const predict_box = element("predict", HTMLInputElement);
 
 const home = {
   position_m: /** @type {[number, number, number]} */ ([0, 2, 0]),
@@ -91,65 +92,83 @@ function wantedEyes() {
   return stereo_box.checked ? pair : null;
 }
 
-/** @param {ConnectionStatus["welcome"]} welcome */
-function wantedSize(welcome) {
+const view = createView(canvas);
+predict_box.checked = view.canPredict() && query.get("predict") !== "off";
+predict_box.disabled = !view.canPredict();
+if (!view.canPredict()) write("predict-note", "This browser gives no WebGL2: frames are shown as they come.");
+
+/** What is shown of a picture, and what is asked for. */
+let shown = { width: 960, height: 540 };
+
+/** Two eyes are not turned: what one sees is not a turn of what the other does. */
+function predicts() {
+  return predict_box.checked && !predict_box.disabled && wantedEyes() === null;
+}
+
+/**
+ * The size of the picture to ask for; remembers what is shown of it.
+ * @param {ConnectionStatus["welcome"]} welcome
+ */
+function askedSize(welcome) {
   const box = stage.getBoundingClientRect();
   const device_pixels = { width: box.width * devicePixelRatio, height: box.height * devicePixelRatio };
-  return pictureSize(/** @type {SizeChoice} */ (size_chooser.value), device_pixels, welcome, wantedEyes() ? 2 : 1);
+  shown = pictureSize(/** @type {SizeChoice} */ (size_chooser.value), device_pixels, welcome, wantedEyes() ? 2 : 1);
+  const max = welcome ? { width: welcome.max_width, height: welcome.max_height } : PROTOCOL_MAX_SIZE;
+  return predicts() ? withMargin(home, shown, MARGIN, max).size : shown;
 }
+
+/** @param {Camera} camera */
+function askedCamera(camera) {
+  const { welcome } = connection_status();
+  const max = welcome ? { width: welcome.max_width, height: welcome.max_height } : PROTOCOL_MAX_SIZE;
+  return predicts() ? withMargin(camera, shown, MARGIN, max).camera : camera;
+}
+
+/** @returns {{ welcome: ConnectionStatus["welcome"] }} */
+let connection_status = () => ({ welcome: null });
 
 const socket_url = new URL("ws", location.href);
 socket_url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
 socket_url.search = "";
 socket_url.hash = "";
 
-const view = createView(canvas);
+const first_size = askedSize(null);
 const connection = connect(socket_url, {
   view: {
-    ...wantedSize(null),
+    ...first_size,
     fps: parameter("fps", DEFAULT_FPS, 1, 120),
     codec: "jpeg",
     quality: wantedQuality(),
     stereo: wantedEyes(),
   },
-  camera: home,
+  camera: askedCamera(home),
 });
+connection_status = () => connection.status;
 connection.onFrame(view.show);
+view.predict(predicts() ? shown : null);
 
 const look = attachLook(canvas, {
   camera: home,
   pictureHeight: view.pictureHeight,
-  onChange: (camera) => {
-    connection.setCamera(camera);
+  onChange: (camera, at_ms) => {
+    connection.setCamera(askedCamera(camera));
+    view.look(camera, at_ms);
     showHeading();
   },
 });
-
-attachMaps({
-  panel: element("maps", HTMLElement),
-  zones: element("map-zones", HTMLElement),
-  told: element("map-told", HTMLElement),
-  seconds: element("map-seconds", HTMLInputElement),
-  opener: element("maps-button", HTMLButtonElement),
-});
-
-const cell_map = attachCellMap({
-  panel: element("cell-map", HTMLElement),
-  canvas: element("cell-map-canvas", HTMLCanvasElement),
-  told: element("cell-map-told", HTMLElement),
-  opener: element("cell-map-button", HTMLButtonElement),
-  ownViewer: () => connection.status.welcome?.viewer ?? null,
-});
+view.look(home, performance.now());
 
 function applySize() {
   const { welcome } = connection.status;
   if (!welcome) return; // hello asked for a size that every server should afford
-  const stereo = wantedEyes();
+  const size = askedSize(welcome);
   const fps = Math.min(parameter("fps", DEFAULT_FPS, 1, 120), welcome.max_fps);
-  connection.setView({ ...wantedSize(welcome), stereo, fps });
+  connection.setView({ ...size, stereo: wantedEyes(), fps });
+  connection.setCamera(askedCamera(look.camera()));
+  view.predict(predicts() ? shown : null);
 }
-size_chooser.addEventListener("change", applySize);
-stereo_box.addEventListener("change", applySize);
+for (const box of [size_chooser, stereo_box, predict_box]) box.addEventListener("change", applySize);
+
 /** @type {import("./views.js").ShowReport[]} */
 let known_views = [];
 
@@ -175,24 +194,13 @@ void fetchViews().then((views) => {
   if (show_chooser.value !== "picture") applyShow();
 });
 quality_chooser.addEventListener("change", () => connection.setView({ quality: wantedQuality() }));
+
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let resize_timer;
 new ResizeObserver(() => {
   clearTimeout(resize_timer);
   resize_timer = setTimeout(applySize, SETTLE_AFTER_RESIZE_MS);
 }).observe(stage);
-
-const grouped = new Intl.NumberFormat("en", { useGrouping: true });
-
-/**
- * Writes only what changed, so that nothing is laid out or read aloud again for nothing.
- * @param {string} id
- * @param {string} text
- */
-function write(id, text) {
-  const target = element(id, HTMLElement);
-  if (target.textContent !== text) target.textContent = text;
-}
 
 function showHeading() {
   const { yaw_deg, pitch_deg, vertical_fov_deg } = look.camera();
@@ -203,53 +211,32 @@ function showHeading() {
   );
 }
 
-/** @param {import("./connection.js").ServerStatus} server */
-function texelsText({ texels_pending, sky_converged }) {
-  if (texels_pending > 0) return `${grouped.format(texels_pending)} pending`;
-  return sky_converged ? "converged" : "none pending";
-}
+const maps_button = element("maps-button", HTMLButtonElement);
+attachMaps({
+  panel: element("maps", HTMLElement),
+  zones: element("map-zones", HTMLElement),
+  told: element("map-told", HTMLElement),
+  seconds: element("map-seconds", HTMLInputElement),
+  opener: maps_button,
+});
 
-/** @param {import("./connection.js").ServerStatus} server */
-function cacheErrorText({ cache_error_p50_percent: p50, cache_error_p95_percent: p95 }) {
-  if (typeof p50 !== "number" || typeof p95 !== "number") return "–";
-  return `p50 ${p50.toFixed(1)} % p95 ${p95.toFixed(1)} %`;
-}
+const cell_map_button = element("cell-map-button", HTMLButtonElement);
+const cell_map = attachCellMap({
+  panel: element("cell-map", HTMLElement),
+  canvas: element("cell-map-canvas", HTMLCanvasElement),
+  told: element("cell-map-told", HTMLElement),
+  opener: cell_map_button,
+  ownViewer: () => connection.status.welcome?.viewer ?? null,
+});
 
-/** @param {import("./connection.js").ServerStatus} server */
-function pickedText({ quality }) {
-  if (!quality) return "–";
-  const flip = `FLIP ${quality.measured ? "" : "about "}${quality.flip.toFixed(3)}`;
-  const time = typeof quality.device_ms === "number" ? ` · ${quality.device_ms.toFixed(1)} ms` : "";
-  return `${quality.name} · ${flip}${time}${quality.is_met ? "" : " · not as asked"}`;
-}
-
-/** @param {ConnectionStatus} status */
-function showFigures(status) {
-  const { server, header, fps, mbit_per_s, latency_ms, frame_age_ms } = status;
-  const at_rest = status.state === "open" && fps === 0 && header !== null;
-  write("fps", at_rest ? "at rest" : fps.toFixed(fps < 9.95 ? 1 : 0));
-  write("rate", `${mbit_per_s.toFixed(mbit_per_s < 9.95 ? 2 : 1)} Mbit/s`);
-  write("latency", latency_ms === null ? "–" : `${latency_ms.toFixed(0)} ms`);
-  // By two clocks: an age below zero or of minutes says that they differ, not how old the frame is.
-  const age_known = frame_age_ms !== null && frame_age_ms >= 0 && frame_age_ms < 60_000;
-  write("age", age_known ? `${frame_age_ms.toFixed(0)} ms` : "–");
-  write("cell", server && server.cell !== null ? server.cell_name || `cell ${server.cell}` : "–");
-  write("viewers", server ? String(server.viewers_in_cell) : "–");
-  write("overlap", server ? `${(server.overlap * 100).toFixed(0)} %` : "–");
-  write("texels", server ? texelsText(server) : "–");
-  write("picked", server ? pickedText(server) : "–");
-  write("cache-error", server ? cacheErrorText(server) : "–");
-  write("renderer", server?.renderer ?? "–");
-  const notes = [server?.show_note ?? server?.renderer_note, server?.loss_note];
-  write("show-note", notes.filter((note) => note).join("; "));
-  write("picture-size", header ? sizeText(header) : "–");
-}
-
-/** @param {import("./connection.js").FrameHeader} header */
-function sizeText({ width, height, stereo, coarse }) {
-  const size = stereo ? `2 × ${width / 2} × ${height}` : `${width} × ${height}`;
-  return coarse ? `${size}, still coarse` : size;
-}
+const graph_button = element("graph-button", HTMLButtonElement);
+const graph = attachGraph({
+  panel: element("graph", HTMLElement),
+  canvas: element("graph-canvas", HTMLCanvasElement),
+  stages: element("stages", HTMLElement),
+  opener: graph_button,
+  motionMs: view.motionMs,
+});
 
 /** @type {ConnectionStatus["welcome"]} */
 let last_welcome = null;
@@ -258,30 +245,89 @@ connection.onStatus((status) => {
   write("state", status.message);
   write("countdown", status.retry_in_s === null ? "" : ` in ${status.retry_in_s} s`);
   write("problem", status.problem);
-  showFigures(status);
+  showFigures(status, predicts() ? shown : null, view.motionMs());
+  graph.add(status);
   if (status.welcome && status.welcome !== last_welcome) {
+    const is_again = last_welcome !== null;
     last_welcome = status.welcome;
     write("adapter", status.welcome.adapter);
     applySize(); // now the limits are known
+    if (is_again) scene.reload(); // it may have changed meanwhile
   }
 });
 showHeading();
 
-attachSkyControls(
+const scene = attachScene({ onProblem: (text) => write("sky-problem", text), onDocument: () => controls?.showDay() });
+
+/** @type {ReturnType<typeof attachSkyControls> | null} */
+let controls = null;
+controls = attachSkyControls(
   {
     preset: element("preset", HTMLSelectElement),
+    gallery: element("gallery", HTMLElement),
     transition: element("transition", HTMLSelectElement),
     pause: element("pause", HTMLButtonElement),
     pace: element("pace", HTMLSelectElement),
+    day: element("day", HTMLElement),
     hour: element("hour", HTMLInputElement),
     hour_text: element("hour-text", HTMLElement),
+    marks: ["dawn", "noon", "dusk"].map((id) => element(id, HTMLButtonElement)),
     sky_time: element("sky-time", HTMLElement),
   },
   {
     onCamera: look.setCamera,
     onProblem: (text) => write("sky-problem", text),
+    onPresets: scene.setPresets,
+    onPreset: ({ name }) => scene.aboutToSet(name),
+    onReport: ({ revision }) => scene.sawRevision(revision),
+    latitude: scene.latitudeDeg,
   },
 );
+
+const side = attachSide({
+  panel: element("side", HTMLElement),
+  opener: element("side-button", HTMLButtonElement),
+  closer: element("side-close", HTMLButtonElement),
+  tabs: ["tab-sky", "tab-scene", "tab-view"].map((id) => element(id, HTMLElement)),
+});
+const theme = attachTheme(element("theme-button", HTMLButtonElement));
+const help = attachHelp(
+  element("help-dialog", HTMLDialogElement),
+  element("help-list", HTMLElement),
+  element("help-button", HTMLButtonElement),
+  element("help-close", HTMLButtonElement),
+);
+
+/** @type {string | null} */
+let saved = null;
+async function save() {
+  try {
+    saved = await savePicture(canvas);
+  } catch (error) {
+    write("sky-problem", error instanceof Error ? error.message : String(error));
+  }
+}
+element("snapshot-button", HTMLButtonElement).addEventListener("click", save);
+
+function toggleFull() {
+  const change = document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen();
+  change.catch(() => {}); // a browser, or an embedding page, that does not allow it
+}
+element("full-button", HTMLButtonElement).addEventListener("click", toggleFull);
+
+attachKeys({
+  p: side.toggle,
+  m: () => maps_button.click(),
+  c: () => cell_map_button.click(),
+  l: () => graph_button.click(),
+  " ": () => void controls?.togglePause(),
+  s: save,
+  f: toggleFull,
+  h: () => document.documentElement.toggleAttribute("data-bare"),
+  t: theme.next,
+  "?": help.open,
+  "ctrl+z": scene.undo,
+});
 
 // For tests and the console.
 Object.defineProperty(window, "skycell", {
@@ -295,9 +341,17 @@ Object.defineProperty(window, "skycell", {
     get counts() {
       return view.counts();
     },
+    get motionMs() {
+      return view.motionMs();
+    },
     get cellMap() {
       return cell_map.shown();
     },
+    get saved() {
+      return saved;
+    },
     connection,
+    scene,
+    look,
   }),
 });

@@ -128,3 +128,35 @@ export function watchSky(onReport) {
   events.addEventListener("scene", (event) => onReport(JSON.parse(event.data)));
   return () => events.close();
 }
+
+const DEG = Math.PI / 180;
+/** The sun's upper edge on the horizon, with refraction. */
+const RISE_ELEVATION_DEG = -0.833;
+
+/**
+ * Mean solar hours at which the sun rises, stands highest and sets (U.S. Naval Observatory's low-precision formulas, some
+ * minutes off), for the bar of the day. rise and set are null where it does neither that day.
+ * @param {Date} date
+ * @param {number} latitude_deg
+ * @returns {{ rise: number | null, noon: number, set: number | null, always: "" | "day" | "night" }}
+ */
+export function sunHours(date, latitude_deg) {
+  const days = date.getTime() / 86_400_000 - 10_957.5; // since noon of 1 January 2000
+  const mean_deg = (357.529 + 0.98560028 * days) % 360;
+  const longitude_deg = 280.459 + 0.98564736 * days;
+  const ecliptic_deg = longitude_deg + 1.915 * Math.sin(mean_deg * DEG) + 0.02 * Math.sin(2 * mean_deg * DEG);
+  const obliquity_deg = 23.439 - 0.00000036 * days;
+  const declination_rad = Math.asin(Math.sin(obliquity_deg * DEG) * Math.sin(ecliptic_deg * DEG));
+  const ascension_deg =
+    Math.atan2(Math.cos(obliquity_deg * DEG) * Math.sin(ecliptic_deg * DEG), Math.cos(ecliptic_deg * DEG)) / DEG;
+  const equation_deg = ((((longitude_deg - ascension_deg + 180) % 360) + 360) % 360) - 180;
+  const noon = 12 - equation_deg / 15;
+  const latitude_rad = latitude_deg * DEG;
+  const cosine =
+    (Math.sin(RISE_ELEVATION_DEG * DEG) - Math.sin(latitude_rad) * Math.sin(declination_rad)) /
+    Math.max(Math.cos(latitude_rad) * Math.cos(declination_rad), 1e-9);
+  if (cosine >= 1) return { rise: null, noon, set: null, always: "night" };
+  if (cosine <= -1) return { rise: null, noon, set: null, always: "day" };
+  const half = Math.acos(cosine) / DEG / 15;
+  return { rise: noon - half, noon, set: noon + half, always: "" };
+}

@@ -1,64 +1,124 @@
 // @ts-check
 /**
- * Shows frames in a canvas: decodes one at a time, keeps only the newest, draws once per animation frame.
+ * Shows frames in a canvas: decodes one at a time, keeps only the newest, draws once per animation frame. Between frames it
+ * turns the last one to the newest camera, where it is told to.
  */
 
 import { unixMicros } from "./connection.js";
+import { createPainter, warpBetween } from "./warp.js";
 
 /** @typedef {import("./connection.js").Frame} Frame */
+/** @typedef {import("./look.js").Camera} Camera */
+/** @typedef {import("./warp.js").Size} Size */
+/** @typedef {{ picture: ImageBitmap | VideoFrame, width: number, height: number }} Decoded */
 
 /**
  * @typedef {object} ViewCounts
- * @property {number} drawn
+ * @property {number} drawn  frames
+ * @property {number} turned  pictures between frames, turned to a newer camera
  * @property {number} dropped  overtaken by a newer frame before they were shown
  * @property {number} broken  not decodable
  */
 
 /**
+ * @typedef {object} SkyView
+ * @property {(frame: Frame) => void} show
+ * @property {(camera: Camera, at_ms: number) => void} look  the newest camera, and when it was asked for (performance.now())
+ * @property {(size: Size | null) => void} predict  turns pictures to the newest camera and shows them at this size; null:
+ *   shows frames as they come
+ * @property {() => boolean} canPredict
+ * @property {() => number} pictureHeight  as it is shown, CSS pixels
+ * @property {() => number | null} motionMs  from a movement of the hand until the picture that shows it was drawn, smoothed
+ * @property {() => ViewCounts} counts
+ */
+
+/**
+ * A picture of a file's bytes.
+ * @param {Frame} frame
+ * @returns {Promise<Decoded>}
+ */
+async function decodeImage(frame) {
+  const blob = new Blob([frame.payload], { type: `image/${frame.header.codec}` });
+  const picture = await createImageBitmap(blob, { colorSpaceConversion: "none" });
+  return { picture, width: picture.width, height: picture.height };
+}
+
+/**
  * A hidden page has no animation frames, so it acknowledges nothing, and the server stops sending after two frames.
  *
  * @param {HTMLCanvasElement} canvas  shown with `object-fit: contain`
- * @returns {{ show: (frame: Frame) => void, pictureHeight: () => number, counts: () => ViewCounts }}
+ * @param {(frame: Frame) => Promise<Decoded>} [decode]
+ * @returns {SkyView}
  */
-export function createView(canvas) {
-  const context = canvas.getContext("2d", { alpha: false });
-  if (!context) throw new Error("this browser gives no 2D canvas");
-
-  const counts = { drawn: 0, dropped: 0, broken: 0 };
+export function createView(canvas, decode = decodeImage) {
+  const painter = createPainter(canvas);
+  const counts = { drawn: 0, turned: 0, dropped: 0, broken: 0 };
   /** @type {Frame | null} */
   let undecoded = null;
-  /** @type {{ frame: Frame, bitmap: ImageBitmap, decode_us: number } | null} */
+  /** @type {{ frame: Frame, decoded: Decoded, decode_us: number } | null} */
   let undrawn = null;
+  /** What the painter holds. @type {{ camera: Camera | null, input: number, size: Size, stereo: boolean } | null} */
+  let shot = null;
+  /** @type {Camera | null} */
+  let newest = null;
+  /** @type {Size | null} */
+  let predicted_size = null;
+  /** When the hand moved, of a movement that no picture shows yet. @type {number | null} */
+  let moved_ms = null;
+  /** @type {number | null} */
+  let motion_ms = null;
   let decoding = false;
   let draw_scheduled = false;
 
-  const draw = () => {
-    draw_scheduled = false;
-    if (!undrawn) return;
-    const { frame, bitmap, decode_us } = undrawn;
-    undrawn = null;
-    // Setting a canvas' size clears it, even to the same size.
-    if (canvas.width !== bitmap.width) canvas.width = bitmap.width;
-    if (canvas.height !== bitmap.height) canvas.height = bitmap.height;
-    context.drawImage(bitmap, 0, 0);
-    bitmap.close();
-    counts.drawn += 1;
-    frame.presented({ decode_us, present_us: unixMicros() });
+  /** @param {number} at_ms */
+  const measureMotion = (at_ms) => {
+    const took_ms = performance.now() - at_ms;
+    motion_ms = motion_ms === null ? took_ms : motion_ms + 0.3 * (took_ms - motion_ms);
   };
 
-  const decode = async (/** @type {Frame} */ frame) => {
-    const started_ms = performance.now();
-    const blob = new Blob([frame.payload], { type: `image/${frame.header.codec}` });
-    const bitmap = await createImageBitmap(blob, { colorSpaceConversion: "none" });
+  /** Whether it shows the newest camera. */
+  const paint = () => {
+    if (!shot) return false;
+    const { camera, size, stereo } = shot;
+    // Another place is another sky: that is not made by turning.
+    const turns =
+      painter.kind === "webgl2" &&
+      predicted_size !== null &&
+      !stereo &&
+      camera !== null &&
+      newest !== null &&
+      newest.position_m.every((at_m, axis) => at_m === camera.position_m[axis]);
+    if (turns) painter.paint(predicted_size ?? size, warpBetween(camera, size, newest ?? camera, predicted_size ?? size));
+    else painter.paint(size, null);
+    return turns;
+  };
+
+  const draw = () => {
+    draw_scheduled = false;
+    const frame = undrawn?.frame ?? null;
+    const decode_us = undrawn?.decode_us ?? 0;
     if (undrawn) {
-      undrawn.bitmap.close();
-      counts.dropped += 1;
+      const { decoded } = undrawn;
+      undrawn = null;
+      const size = { width: decoded.width, height: decoded.height };
+      painter.load(decoded.picture, size);
+      decoded.picture.close();
+      shot = { camera: frame?.camera ?? null, input: frame?.header.input ?? 0, size, stereo: frame?.header.stereo ?? false };
     }
-    undrawn = { frame, bitmap, decode_us: (performance.now() - started_ms) * 1000 };
-    if (!draw_scheduled) {
-      draw_scheduled = true;
-      requestAnimationFrame(draw);
+    const shows_newest = paint();
+    if (frame) counts.drawn += 1;
+    else counts.turned += 1;
+    frame?.presented({ decode_us, present_us: unixMicros() });
+    if (moved_ms !== null && (shows_newest || (frame?.camera && sameLook(frame.camera, newest)))) {
+      measureMotion(moved_ms);
+      moved_ms = null;
     }
+  };
+
+  const schedule = () => {
+    if (draw_scheduled) return;
+    draw_scheduled = true;
+    requestAnimationFrame(draw);
   };
 
   const pump = async () => {
@@ -68,7 +128,14 @@ export function createView(canvas) {
       const frame = undecoded;
       undecoded = null;
       try {
-        await decode(frame);
+        const started_ms = performance.now();
+        const decoded = await decode(frame);
+        if (undrawn) {
+          undrawn.decoded.picture.close();
+          counts.dropped += 1;
+        }
+        undrawn = { frame, decoded, decode_us: (performance.now() - started_ms) * 1000 };
+        schedule();
       } catch {
         counts.broken += 1;
         // Unshown, yet acknowledged: the next one may be whole.
@@ -84,11 +151,30 @@ export function createView(canvas) {
       undecoded = frame;
       void pump();
     },
+    look(camera, at_ms) {
+      newest = camera;
+      if (shot) moved_ms ??= at_ms;
+      if (predicted_size && shot) schedule();
+    },
+    predict(size) {
+      predicted_size = painter.kind === "webgl2" ? size : null;
+      if (shot) schedule();
+    },
+    canPredict: () => painter.kind === "webgl2",
     pictureHeight() {
       const box = canvas.getBoundingClientRect();
       const scale = Math.min(box.width / canvas.width, box.height / canvas.height);
       return canvas.height * scale;
     },
+    motionMs: () => motion_ms,
     counts: () => ({ ...counts }),
   };
+}
+
+/**
+ * @param {Camera} a
+ * @param {Camera | null} b
+ */
+function sameLook(a, b) {
+  return b !== null && Math.abs(a.yaw_deg - b.yaw_deg) < 1e-9 && Math.abs(a.pitch_deg - b.pitch_deg) < 1e-9;
 }

@@ -27,7 +27,7 @@ async fn the_page_shows_two_eyes_side_by_side_by_its_address_and_by_its_checkbox
     };
     let server = Server::start_calm().await?;
     let browser = Browser::start(&program).await?;
-    let url = server.url("?width=240&height=200&fps=10&pitch=20&stereo=60");
+    let url = server.url("?width=240&height=200&fps=10&pitch=20&stereo=60&predict=off");
     let tab = browser.open(&url).await?;
     tab.wait_for(SHOWS_FRAMES).await?;
     tab.wait_for(&shows(true, 480, 200)).await?;
@@ -69,7 +69,7 @@ async fn the_page_shows_two_eyes_side_by_side_by_its_address_and_by_its_checkbox
 
     // Without the address it is closed, and people's eyes are 64 mm apart.
     let plain = browser
-        .open(&server.url("?width=160&height=90&fps=5"))
+        .open(&server.url("?width=160&height=90&fps=5&predict=off"))
         .await?;
     plain.wait_for(SHOWS_FRAMES).await?;
     plain.wait_for(&shows(false, 160, 90)).await?;

@@ -60,3 +60,11 @@ test("lengths are round and have their unit", () => {
   assert.deepEqual([1, 1.9, 2, 49, 73, 999, 4321].map(roundLength), [1, 1, 2, 20, 50, 500, 2000]);
   assert.deepEqual([20, 500, 1000, 12345].map(lengthText), ["20 m", "500 m", "1 km", "12.3 km"]);
 });
+
+test("a cell says what its viewers share, where there are two", () => {
+  const pair = { ...cells[0], viewers: [7, 8], overlap: 0.754 };
+  const [both, alone] = layoutMap([pair, { ...cells[1], overlap: 0 }], viewers, 7, 800, 600).cells;
+  assert.equal(both.label, "plaza · 2 · 75 % shared");
+  assert.equal(both.shared, 0.754);
+  assert.equal(alone.label, "formed-2 · 1");
+});

@@ -57,6 +57,7 @@ fn content_type(path: &str) -> Option<&'static str> {
         "json" => "application/json",
         "svg" => "image/svg+xml",
         "png" => "image/png",
+        "jpg" => "image/jpeg",
         "ico" => "image/x-icon",
         "webmanifest" => "application/manifest+json",
         _ => return None,
