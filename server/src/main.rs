@@ -12,6 +12,7 @@ use skycell_server::doctor::{self, DoctorArguments};
 use skycell_server::measure::{self, MeasureArguments};
 use skycell_server::probe::{self, command::ProbeArguments};
 use skycell_server::render_command::{self, RenderArguments};
+use skycell_server::token_command::{self, TokenArguments};
 
 /// Renders a shared sky and streams it to its viewers.
 #[derive(Parser)]
@@ -41,6 +42,8 @@ enum Command {
     /// Say which adapters there are, whether they can render, and how to get what is missing.
     #[command(after_help = "Example: skycell-server doctor --json")]
     Doctor(DoctorArguments),
+    /// Make the tokens that a server demands.
+    Token(TokenArguments),
 }
 
 #[derive(Args)]
@@ -63,6 +66,7 @@ fn main() -> ExitCode {
         Command::Probe(arguments) => probe::command::run(&arguments),
         Command::Measure(arguments) => measure::run(&arguments),
         Command::Doctor(arguments) => doctor::run(&arguments),
+        Command::Token(arguments) => token_command::run(&arguments),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

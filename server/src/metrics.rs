@@ -12,6 +12,7 @@ use metrics_exporter_prometheus::{
 };
 use metrics_util::MetricKindMask;
 
+use crate::access::Refusal;
 use crate::frame_loop::interface::RenderStats;
 
 /// Edges of the buckets of durations: from a small JPEG to a frame that is useless.
@@ -40,6 +41,8 @@ pub struct Metrics {
     pub encode_wait_s: Histogram,
     /// From the composite's submission until the client's acknowledgement.
     pub frame_age_s: Histogram,
+    /// By [`Refusal::ALL`].
+    refusals: [Counter; Refusal::ALL.len()],
 }
 
 impl Metrics {
@@ -63,6 +66,8 @@ impl Metrics {
                 histogram!("skycell_encode_seconds", "codec" => "png"),
                 histogram!("skycell_encode_wait_seconds"),
                 histogram!("skycell_frame_age_seconds"),
+                Refusal::ALL
+                    .map(|refusal| counter!("skycell_refusals_total", "reason" => refusal.name())),
             )
         });
         Ok(Self {
@@ -75,7 +80,15 @@ impl Metrics {
             encode_png_s: metrics.4,
             encode_wait_s: metrics.5,
             frame_age_s: metrics.6,
+            refusals: metrics.7,
         })
+    }
+
+    /// Counts somebody who was refused.
+    pub fn refused(&self, refusal: Refusal) {
+        if let Some(index) = Refusal::ALL.iter().position(|known| *known == refusal) {
+            self.refusals[index].increment(1);
+        }
     }
 
     /// Folds recorded durations into their buckets. To be called every few seconds: until then
@@ -102,6 +115,10 @@ fn describe() {
         "skycell_bytes_sent_total",
         Unit::Bytes,
         "Bytes of messages handed to sockets"
+    );
+    describe_counter!(
+        "skycell_refusals_total",
+        "Requests, viewers and connections that were refused, by reason"
     );
     describe_histogram!("skycell_encode_seconds", "Duration of encoding a frame");
     describe_histogram!(

@@ -5,11 +5,15 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use skycell_server::access;
 use skycell_server::config::Config;
 use skycell_server::frame_loop::FrameLoop;
 use skycell_server::frame_loop::interface::{FrameLoopHandle, RenderCommand};
 use skycell_server::service::ServiceParts;
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::filter_fn;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 /// How long the renderer may take to end.
 const RENDERER_END_TIMEOUT: Duration = Duration::from_secs(5);
@@ -27,7 +31,7 @@ pub(crate) fn run(config: Config) -> anyhow::Result<()> {
     let handle = frame_loop.clone();
     let served = runtime.block_on(async move {
         let service = parts.start(handle).await?;
-        println!("listening on http://{}", service.address());
+        println!("listening on {}", service.url());
         wait_for_signal().await?;
         tracing::info!("shutting down");
         service.shutdown().await;
@@ -61,10 +65,13 @@ fn start_log(filter: &str) -> anyhow::Result<()> {
     let filter: EnvFilter = filter
         .parse()
         .with_context(|| format!("log = \"{filter}\" is no filter, such as info"))?;
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let lines = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
+        .with_ansi(std::io::stderr().is_terminal());
+    tracing_subscriber::registry()
+        .with(filter)
+        .with(filter_fn(access::holds_no_secret))
+        .with(lines)
         .init();
     Ok(())
 }

@@ -5,6 +5,7 @@ use serde_json::Value;
 use thiserror::Error;
 
 use super::server::{ErrorCode, ErrorMessage};
+use super::token::AccessToken;
 use crate::read_json::{ObjectReader, nearest_name};
 use crate::view::FRAMES_PER_SECOND;
 use crate::{
@@ -52,6 +53,9 @@ pub struct Hello {
     /// Frames hold the pictures of two eyes side by side.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stereo: Option<Stereo>,
+    /// Lets the client in, where the server demands it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub token: Option<AccessToken>,
 }
 
 impl Hello {
@@ -68,6 +72,7 @@ impl Hello {
             quality: None,
             show: Show::default(),
             stereo: None,
+            token: None,
         }
     }
 }
@@ -251,6 +256,7 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         "quality",
         "show",
         "stereo",
+        "token",
     ])?;
     let stereo = members.member_or("stereo", None)?;
     Ok(Hello {
@@ -271,6 +277,7 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         quality: members.member_or("quality", None)?,
         show: members.member_or("show", Show::default())?,
         stereo,
+        token: members.optional("token")?,
     })
 }
 

@@ -4,6 +4,13 @@ use axum::extract::ws::close_code;
 use skycell_protocol::message::{ErrorCode, ErrorMessage};
 use tokio_tungstenite::tungstenite;
 
+/// Codes of close frames that are this protocol's own, after the status of HTTP that they correspond to (RFC 6455,
+/// section 7.4.2, leaves 4000 to 4999 to applications).
+mod close_code_of {
+    pub(super) const UNAUTHORIZED: u16 = 4401;
+    pub(super) const RATE_LIMITED: u16 = 4429;
+}
+
 /// Why a session ends, and what the client is told.
 #[derive(Debug)]
 pub(super) enum End {
@@ -69,6 +76,36 @@ impl End {
             "clients send JSON text messages, no binary ones".to_owned(),
             close_code::POLICY,
             "binary message",
+        )
+    }
+
+    /// No token, or one that is not known.
+    pub(super) fn unauthorized(why: &str) -> Self {
+        Self::with_error(
+            ErrorCode::Unauthorized,
+            format!("{why}; send it as token in the hello"),
+            close_code_of::UNAUTHORIZED,
+            "unauthorized",
+        )
+    }
+
+    /// Too many wrong tokens came from the peer.
+    pub(super) fn blocked(seconds: u64) -> Self {
+        Self::with_error(
+            ErrorCode::RateLimited,
+            format!("too many wrong tokens; try again in {seconds} s"),
+            close_code_of::RATE_LIMITED,
+            "too many wrong tokens",
+        )
+    }
+
+    /// The frames of all viewers have as many pixels as may be.
+    pub(super) fn too_many_pixels(message: String) -> Self {
+        Self::with_error(
+            ErrorCode::TooManyPixels,
+            message,
+            close_code::AGAIN,
+            "too many pixels",
         )
     }
 

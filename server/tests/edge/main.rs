@@ -1,12 +1,16 @@
 //! The service edge over real HTTP and real WebSockets, with a stand-in for the renderer.
 
+mod apart;
 mod client;
 mod figures;
 mod lifecycle;
+mod limits;
 mod maps;
 mod scene;
 mod sky_time;
 mod stand_in;
 mod stream;
 mod stream_refusals;
+mod tls;
+mod tokens;
 mod world;
