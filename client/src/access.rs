@@ -117,7 +117,7 @@ impl Access {
     }
 
     /// How TLS is spoken. The system's authorities are only read where they are needed.
-    pub(crate) fn tls_config(&self, is_tls: bool) -> Arc<ClientConfig> {
+    pub fn tls_config(&self, is_tls: bool) -> Arc<ClientConfig> {
         let authorities = match &self.authorities {
             Some(authorities) => Arc::clone(authorities),
             None => {

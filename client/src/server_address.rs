@@ -166,7 +166,9 @@ mod tests {
         assert!(with_tls.is_tls() && !address("ws://sky.example").is_tls());
         assert_eq!(with_tls.websocket_url(), "wss://sky.example:8443/ws");
         assert_eq!(
-            address("wss://sky.example/ws").http_url("api/v1/scene").as_str(),
+            address("wss://sky.example/ws")
+                .http_url("api/v1/scene")
+                .as_str(),
             "https://sky.example/api/v1/scene"
         );
         assert_eq!(
@@ -178,8 +180,14 @@ mod tests {
     #[test]
     fn other_schemes_are_refused_with_what_is_allowed() {
         for (text, part) in [
-            ("ftp://sky.example", "allowed: ws://, wss://, http://, https://"),
-            ("localhost:8080", "allowed: ws://, wss://, http://, https://"),
+            (
+                "ftp://sky.example",
+                "allowed: ws://, wss://, http://, https://",
+            ),
+            (
+                "localhost:8080",
+                "allowed: ws://, wss://, http://, https://",
+            ),
             ("127.0.0.1:8080", "write one like"),
             ("", "write one like"),
         ] {

@@ -12,6 +12,7 @@ import { attachMaps } from "./maps.js";
 import { attachLook, clamp, compassPoint } from "./look.js";
 import { pictureSize } from "./picture-size.js";
 import { attachSkyControls } from "./sky-controls.js";
+import { connectionToken, sendTokens } from "./token.js";
 import { createView } from "./view.js";
 import { drawBar, fetchViews, tick } from "./views.js";
 
@@ -32,6 +33,8 @@ function element(id, type) {
   if (!(found instanceof type)) throw new Error(`the page has no #${id}`);
   return found;
 }
+
+sendTokens();
 
 const query = new URLSearchParams(location.search);
 
@@ -113,6 +116,7 @@ const connection = connect(socket_url, {
     stereo: wantedEyes(),
   },
   camera: home,
+  token: connectionToken,
 });
 connection.onFrame(view.show);
 

@@ -8,7 +8,9 @@ use skycell_client::ServerAddress;
 use skycell_client::load::{self, LoadOptions, LoadReport, SoakOptions, ViewerRing};
 use skycell_protocol::FrameSize;
 
-use super::{AccessArguments, QualityArgument, asked_to_stop, print_line, progress_bar, size_and_eyes};
+use super::{
+    AccessArguments, QualityArgument, asked_to_stop, print_line, progress_bar, size_and_eyes,
+};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -145,17 +147,11 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     progress.set_length(options.overlaps.len() as u64);
     progress.enable_steady_tick(Duration::from_millis(200));
     let mut saved = Ok(());
-    let result = load::run(
-        &address,
-        &options,
-        &progress,
-        asked_to_stop(),
-        |report| {
-            if let (Some(file), Ok(())) = (file, &saved) {
-                saved = save(file, report);
-            }
-        },
-    )
+    let result = load::run(&address, &options, &progress, asked_to_stop(), |report| {
+        if let (Some(file), Ok(())) = (file, &saved) {
+            saved = save(file, report);
+        }
+    })
     .await;
     progress.finish_and_clear();
     let report = result?;

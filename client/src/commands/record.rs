@@ -10,7 +10,9 @@ use skycell_client::camera_path::CameraPath;
 use skycell_client::record::{RECORDING_FRAMES_MAX, RecordOptions, record};
 use skycell_protocol::{Camera, Codec};
 
-use super::{AccessArguments, QualityArgument, print_line, progress_bar, read_json_file, size_and_eyes};
+use super::{
+    AccessArguments, QualityArgument, print_line, progress_bar, read_json_file, size_and_eyes,
+};
 
 const EXAMPLES: &str = "\
 Examples:

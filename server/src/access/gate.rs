@@ -23,7 +23,13 @@ use crate::config::Config;
 use crate::metrics::Metrics;
 
 /// Keys of an address that mean a token to somebody.
-const TOKEN_KEYS: &[&str] = &["token", "access_token", "auth_token", "bearer", "authorization"];
+const TOKEN_KEYS: &[&str] = &[
+    "token",
+    "access_token",
+    "auth_token",
+    "bearer",
+    "authorization",
+];
 
 /// How many peers with too many wrong tokens are remembered.
 const BLOCKED_MAX: usize = 16 * 1024;
@@ -275,7 +281,9 @@ fn check_address(uri: &Uri) -> Result<(), (Refusal, Problem)> {
     let has_token = uri.query().is_some_and(|query| {
         query.split('&').any(|pair| {
             let key = pair.split('=').next().unwrap_or_default();
-            TOKEN_KEYS.iter().any(|known| known.eq_ignore_ascii_case(key))
+            TOKEN_KEYS
+                .iter()
+                .any(|known| known.eq_ignore_ascii_case(key))
         })
     });
     if !has_token {
@@ -293,9 +301,7 @@ fn check_address(uri: &Uri) -> Result<(), (Refusal, Problem)> {
 fn bearer_of(headers: &HeaderMap) -> Option<&str> {
     let value = headers.get(AUTHORIZATION)?.to_str().ok()?;
     let (scheme, token) = value.split_once(' ')?;
-    scheme
-        .eq_ignore_ascii_case("bearer")
-        .then(|| token.trim())
+    scheme.eq_ignore_ascii_case("bearer").then(|| token.trim())
 }
 
 fn too_many(what: &str, seconds: u64) -> Problem {

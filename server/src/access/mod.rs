@@ -23,7 +23,7 @@ pub use peer::{Peer, PeerKey};
 pub(crate) use peer::{PeerPermit, Peers};
 pub use refusal::Refusal;
 pub use role::{Role, Rule, rule_of};
-pub(crate) use secret_file::check_secret_file;
 pub use secret_file::SecretFileError;
+pub(crate) use secret_file::check_secret_file;
 pub use token::{TOKEN_PREFIX, Token, TokenDigest};
 pub use token_list::{LINE_FORM, TokenEntry, TokenListError, Tokens, is_name};

@@ -106,7 +106,11 @@ mod tests {
         for number in 0..PEERS_MAX as u32 + 1000 {
             let _ = rate.take(peer(number));
         }
-        assert!(rate.buckets.len() <= PEERS_MAX + 1, "{}", rate.buckets.len());
+        assert!(
+            rate.buckets.len() <= PEERS_MAX + 1,
+            "{}",
+            rate.buckets.len()
+        );
         // Who was there before still has a bucket, and it is still empty.
         assert!(rate.take(peer(7)).is_err());
     }

@@ -53,7 +53,10 @@ impl TokenEntry {
         let role = Role::of_name(words.next()?)?;
         let name = words.next().filter(|name| is_name(name))?.to_owned();
         let digest = TokenDigest::from_hex(words.next()?.strip_prefix("sha256:")?)?;
-        words.next().is_none().then_some(Self { role, name, digest })
+        words
+            .next()
+            .is_none()
+            .then_some(Self { role, name, digest })
     }
 }
 

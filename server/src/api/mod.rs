@@ -13,8 +13,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
-use axum::extract::State;
 use axum::extract::Request;
+use axum::extract::State;
 use axum::http::header::{
     ACCEPT, AUTHORIZATION, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, HeaderName,
     HeaderValue, IF_MATCH, IF_NONE_MATCH, REFERRER_POLICY, RETRY_AFTER, X_CONTENT_TYPE_OPTIONS,
@@ -106,13 +106,15 @@ pub fn router(context: Arc<StreamContext>) -> Router {
             router.layer(SetResponseHeaderLayer::if_not_present(name, value))
         })
         // Not the whole address: a query may hold what is no business of a log.
-        .layer(TraceLayer::new_for_http().make_span_with(|request: &Request| {
-            tracing::debug_span!(
-                "request",
-                method = %request.method(),
-                path = request.uri().path()
-            )
-        }))
+        .layer(
+            TraceLayer::new_for_http().make_span_with(|request: &Request| {
+                tracing::debug_span!(
+                    "request",
+                    method = %request.method(),
+                    path = request.uri().path()
+                )
+            }),
+        )
 }
 
 /// What pages of listed origins may read, beside opening `/ws`. Without any, browsers keep all answers from them.

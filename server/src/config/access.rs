@@ -138,9 +138,11 @@ pub struct ConfiguredTokens(pub Vec<TokenEntry>);
 impl PartialEq for ConfiguredTokens {
     fn eq(&self, other: &Self) -> bool {
         self.0.len() == other.0.len()
-            && self.0.iter().zip(&other.0).all(|(a, b)| {
-                a.role == b.role && a.name == b.name && a.digest.is(&b.digest)
-            })
+            && self
+                .0
+                .iter()
+                .zip(&other.0)
+                .all(|(a, b)| a.role == b.role && a.name == b.name && a.digest.is(&b.digest))
     }
 }
 

@@ -393,7 +393,9 @@ impl Config {
             )?,
             allowed_origins: members.member_or("allowed_origins", default.allowed_origins)?,
             allowed_hosts: members.member_or("allowed_hosts", default.allowed_hosts)?,
-            tokens_file: members.optional::<String>("tokens_file")?.map(PathBuf::from),
+            tokens_file: members
+                .optional::<String>("tokens_file")?
+                .map(PathBuf::from),
             tokens: ConfiguredTokens(members.member_or("tokens", default.tokens.0)?),
             limits: match members.optional::<Value>("limits")? {
                 Some(limits) => LimitsConfig::read(&limits)?,

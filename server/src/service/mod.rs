@@ -147,8 +147,13 @@ impl ServiceParts {
             .map_err(listen_error)?;
         let address = listener.local_addr().map_err(listen_error)?;
         let shutdown = CancellationToken::new();
-        let gate = Gate::new(&self.config, Arc::clone(&self.tokens), Arc::clone(&self.metrics));
-        let connections = ConnectionSettings::new(&self.config, self.tls.clone(), Arc::clone(&gate));
+        let gate = Gate::new(
+            &self.config,
+            Arc::clone(&self.tokens),
+            Arc::clone(&self.metrics),
+        );
+        let connections =
+            ConnectionSettings::new(&self.config, self.tls.clone(), Arc::clone(&gate));
         let context = Arc::new(StreamContext {
             viewers: self.viewers,
             frame_loop: frame_loop.clone(),

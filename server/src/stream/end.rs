@@ -147,6 +147,14 @@ impl End {
         }
     }
 
+    /// The same end without a message before the close frame, for who speaks another protocol.
+    pub(super) fn without_message(mut self) -> Self {
+        if let Self::Close { error, .. } = &mut self {
+            *error = None;
+        }
+        self
+    }
+
     /// What a socket's error means.
     pub(super) fn of_socket_error(error: axum::Error) -> Self {
         let error = error.into_inner();

@@ -3,6 +3,7 @@
 //! A session is one task. What it holds for its viewer is bounded: one encoded frame in the slot,
 //! one in the socket's write buffer, a few answers, and inbound messages of at most 64 KiB.
 
+mod echo;
 mod end;
 mod hello;
 mod inbound;
@@ -10,11 +11,13 @@ mod outbound;
 mod pace;
 mod session;
 
+pub use echo::echo;
+
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::{Extension, State};
 use axum::extract::ws::{WebSocketUpgrade, rejection::WebSocketUpgradeRejection};
+use axum::extract::{Extension, State};
 use axum::http::StatusCode;
 use axum::response::Response;
 use skycell_protocol::{INBOUND_MESSAGE_MAX_BYTES, SUBPROTOCOL};

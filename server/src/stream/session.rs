@@ -144,7 +144,7 @@ fn welcome(viewer: &Viewer, context: &StreamContext) -> Welcome {
 
 /// Tells the client why, closes, and gives it a moment to hear it: what is closed while the
 /// client's data is unread is torn down before the client can read the reason.
-async fn say_goodbye(
+pub(super) async fn say_goodbye(
     mut sink: SplitSink<WebSocket, Message>,
     mut stream: SplitStream<WebSocket>,
     end: End,

@@ -186,7 +186,9 @@ async fn a_head_that_is_too_large_is_refused() {
     let world = start().await;
     let host = format!("Host: {}\r\n", world.address());
     let long = format!("X-Long: {}\r\n", "x".repeat(40_000));
-    let many: String = (0..100).map(|number| format!("X-{number}: 1\r\n")).collect();
+    let many: String = (0..100)
+        .map(|number| format!("X-{number}: 1\r\n"))
+        .collect();
     for headers in [long, many] {
         let request = format!("GET /livez HTTP/1.1\r\n{host}{headers}\r\n");
         let answer = by_hand(&world, &request).await;

@@ -2,6 +2,7 @@
 
 mod apart;
 mod client;
+mod conformance;
 mod figures;
 mod lifecycle;
 mod limits;

@@ -74,10 +74,7 @@ async fn world_with_tls() -> (World, Certificate) {
 async fn https_and_wss_are_spoken_and_plain_http_is_not() {
     let (world, made) = world_with_tls().await;
     let port = world.address().port();
-    assert_eq!(
-        world.service.url(),
-        format!("https://{}", world.address())
-    );
+    assert_eq!(world.service.url(), format!("https://{}", world.address()));
     for versions in [
         &[&rustls::version::TLS13][..],
         &[&rustls::version::TLS12][..],
@@ -136,10 +133,7 @@ fn a_certificate_and_a_key_that_cannot_be_used_are_told_apart() {
         with(&a.path().join("none"), key),
         Some(TlsError::Certificate { .. })
     ));
-    assert!(matches!(
-        with(key, key),
-        Some(TlsError::Certificate { .. })
-    ));
+    assert!(matches!(with(key, key), Some(TlsError::Certificate { .. })));
     assert!(matches!(
         with(certificate, certificate),
         Some(TlsError::Key { .. } | TlsError::KeyFile(_))

@@ -208,7 +208,10 @@ async fn a_name_that_was_made_to_lead_here_is_refused() {
     ] {
         let request = format!("GET /api/v1/scene HTTP/1.1\r\n{host}Connection: close\r\n\r\n");
         let answer = by_hand(&world, &request).await;
-        assert!(answer.starts_with(&format!("HTTP/1.1 {status} ")), "{host}: {answer}");
+        assert!(
+            answer.starts_with(&format!("HTTP/1.1 {status} ")),
+            "{host}: {answer}"
+        );
     }
     // The same for the WebSocket, with an origin that goes with the name.
     let mut request = handshake(world.address(), Some("skycell.v1"));
@@ -243,7 +246,11 @@ async fn pages_of_other_sites_change_nothing_and_listed_ones_may() {
             .send()
             .await
             .expect("an answer");
-        let expected = if may { StatusCode::OK } else { StatusCode::FORBIDDEN };
+        let expected = if may {
+            StatusCode::OK
+        } else {
+            StatusCode::FORBIDDEN
+        };
         assert_eq!(response.status(), expected, "{origin}");
         let readable_by = response.headers().get("access-control-allow-origin");
         assert_eq!(readable_by.is_some(), may, "{origin}: {readable_by:?}");
