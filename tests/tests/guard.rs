@@ -114,9 +114,9 @@ async fn no_token_is_in_the_log_at_its_finest() -> anyhow::Result<()> {
     }
     for token in [wrong, guarded.text(Role::Steer)] {
         let access = Access::default().with_token_text(token, "the test")?;
-        let address: ServerAddress = server.url("").parse()?;
+        let address = server.url("").parse::<ServerAddress>()?.with_access(access);
         let connection = skycell_client::Connection::open(
-            &address.with_access(access),
+            &address,
             small(0.0, 10.0, 32, 18)?,
             skycell_client::ConnectionLimits::default(),
         );

@@ -143,13 +143,8 @@ impl Gate {
     }
 
     /// Lets a request pass, or says why not.
-    fn check(
-        &self,
-        peer: Peer,
-        method: &Method,
-        uri: &Uri,
-        headers: &HeaderMap,
-    ) -> Result<(), (Refusal, Problem)> {
+    fn check(&self, peer: Peer, request: &Request) -> Result<(), (Refusal, Problem)> {
+        let (method, uri, headers) = (request.method(), request.uri(), request.headers());
         if peer.has_too_many_connections {
             let problem = too_many("this address has too many connections", 1)
                 .with_header(CONNECTION, HeaderValue::from_static("close"));
@@ -159,7 +154,7 @@ impl Gate {
             let problem = too_many("too many requests of this address", retry_after_s(wait));
             (Refusal::Requests, problem)
         })?;
-        self.hosts.check_host(headers)?;
+        self.hosts.check_host(request.version(), headers)?;
         check_address(uri)?;
         if !matches!(*method, Method::GET | Method::HEAD) || uri.path() == "/ws" {
             self.hosts.check_origin(headers)?;
@@ -266,7 +261,7 @@ pub(crate) async fn pass(State(gate): State<Arc<Gate>>, request: Request, next: 
         return Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "the peer is not known")
             .into_response();
     };
-    match gate.check(peer, request.method(), request.uri(), request.headers()) {
+    match gate.check(peer, &request) {
         Ok(()) => next.run(request).await,
         Err((refusal, problem)) => {
             gate.count(refusal);

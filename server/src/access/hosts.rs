@@ -8,7 +8,7 @@ use std::net::IpAddr;
 
 use axum::http::header::{HOST, ORIGIN};
 use axum::http::uri::Authority;
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::{HeaderMap, StatusCode, Version};
 
 use super::refusal::Refusal;
 use crate::api::Problem;
@@ -26,8 +26,16 @@ pub(super) struct Hosts {
 
 impl Hosts {
     /// Refuses requests to a name that is not this server's.
-    pub(super) fn check_host(&self, headers: &HeaderMap) -> Result<(), (Refusal, Problem)> {
+    pub(super) fn check_host(
+        &self,
+        version: Version,
+        headers: &HeaderMap,
+    ) -> Result<(), (Refusal, Problem)> {
         let Some(host) = headers.get(HOST) else {
+            // Health checks of some proxies. Browsers always name a host.
+            if version == Version::HTTP_10 {
+                return Ok(());
+            }
             return Err((
                 Refusal::Host,
                 Problem::new(StatusCode::BAD_REQUEST, "the request has no header Host"),
@@ -154,11 +162,14 @@ mod tests {
             ("a b", false, false),
         ] {
             for (is_loopback, may) in [(true, on_loopback), (false, beyond)] {
-                let result = hosts(is_loopback).check_host(&headers(host, None));
+                let result = hosts(is_loopback).check_host(Version::HTTP_11, &headers(host, None));
                 assert_eq!(result.is_ok(), may, "{host:?}, loopback: {is_loopback}");
             }
         }
-        assert!(hosts(true).check_host(&HeaderMap::new()).is_err());
+        for (version, may) in [(Version::HTTP_10, true), (Version::HTTP_11, false)] {
+            let result = hosts(true).check_host(version, &HeaderMap::new());
+            assert_eq!(result.is_ok(), may, "{version:?}");
+        }
     }
 
     #[test]

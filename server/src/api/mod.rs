@@ -24,6 +24,7 @@ use axum::http::{HeaderMap, Method, StatusCode};
 use axum::middleware::{from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
+use tower::util::option_layer;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::limit::RequestBodyLimitLayer;
@@ -60,7 +61,7 @@ const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src '
 /// Every route of the service, behind its gate.
 pub fn router(context: Arc<StreamContext>) -> Router {
     let gate = Arc::clone(&context.gate);
-    let cors = cors(&context.allowed_origins);
+    let cors = option_layer(cors(&context.allowed_origins));
     let timeout = |limit| TimeoutLayer::with_status_code(StatusCode::REQUEST_TIMEOUT, limit);
     let changes = Router::new()
         .route("/api/v1/scene", get(scene::get).patch(scene::patch))
@@ -118,11 +119,14 @@ pub fn router(context: Arc<StreamContext>) -> Router {
 }
 
 /// What pages of listed origins may read, beside opening `/ws`. Without any, browsers keep all answers from them.
-fn cors(allowed_origins: &[String]) -> CorsLayer {
+fn cors(allowed_origins: &[String]) -> Option<CorsLayer> {
+    if allowed_origins.is_empty() {
+        return None;
+    }
     let origins = allowed_origins
         .iter()
         .filter_map(|origin| HeaderValue::from_str(origin).ok());
-    CorsLayer::new()
+    let cors = CorsLayer::new()
         .allow_origin(AllowOrigin::list(origins))
         .allow_methods([
             Method::GET,
@@ -133,7 +137,8 @@ fn cors(allowed_origins: &[String]) -> CorsLayer {
         ])
         .allow_headers([AUTHORIZATION, CONTENT_TYPE, IF_MATCH, IF_NONE_MATCH, ACCEPT])
         .expose_headers([ETAG, RETRY_AFTER])
-        .max_age(PREFLIGHT_MAX_AGE)
+        .max_age(PREFLIGHT_MAX_AGE);
+    Some(cors)
 }
 
 fn security_headers() -> [(HeaderName, HeaderValue); 6] {

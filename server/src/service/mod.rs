@@ -95,6 +95,11 @@ impl ServiceParts {
         let tokens = Tokens::open(config.tokens_file.clone(), config.tokens.0.clone())?;
         access::check_exposure(config.listen, &tokens)?;
         let tls = config.tls.as_ref().map(Tls::open).transpose()?;
+        if tls.is_none() && !config.listen.ip().to_canonical().is_loopback() {
+            tracing::warn!(
+                "tokens and pictures travel in the clear: set tls.certificate and tls.key, or put a proxy with TLS in front"
+            );
+        }
         let field = FieldStore::new(Some(config.render.noise_cache_dir.clone()));
         let scene = Arc::new(SceneStore::open_with(config.state_dir.clone(), field)?);
         let viewers = ViewerRegistry::with_pixels(

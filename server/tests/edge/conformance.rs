@@ -15,10 +15,12 @@ use skycell_server::stream::{echo, limit_messages};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
+use crate::world::start;
+
 /// The largest message of the suite (9.1.6 and 9.2.6), which is more than a viewer may send.
 const MESSAGE_MAX_BYTES: usize = 16 << 20;
 
-/// How many verdicts there are of each kind.
+/// Cases by their verdict.
 type Verdicts = BTreeMap<String, Vec<String>>;
 
 fn wstest() -> Option<std::ffi::OsString> {
@@ -37,6 +39,7 @@ async fn run(
     server: Value,
     cases: &[&str],
     excluded: &[&str],
+    judged: Judged,
 ) -> Verdicts {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let spec = json!({
@@ -56,11 +59,20 @@ async fn run(
         .expect("wstest starts");
     let said = String::from_utf8_lossy(&ran.stdout) + String::from_utf8_lossy(&ran.stderr);
     assert!(ran.status.success(), "wstest: {said}");
-    verdicts(&folder.path().join("report"))
+    verdicts(&folder.path().join("report"), judged)
+}
+
+/// What is judged of a case.
+#[derive(Clone, Copy)]
+enum Judged {
+    /// How it went and how the connection was closed.
+    All,
+    /// How the connection was closed.
+    Close,
 }
 
 /// What the report says: the worse of how the case went and how the connection was closed.
-fn verdicts(report: &Path) -> Verdicts {
+fn verdicts(report: &Path, judged: Judged) -> Verdicts {
     let text = std::fs::read_to_string(report.join("index.json")).expect("a report");
     let index: Value = serde_json::from_str(&text).expect("JSON");
     let cases = index["skycell"].as_object().expect("the agent's cases");
@@ -69,6 +81,10 @@ fn verdicts(report: &Path) -> Verdicts {
         let (behavior, close) = (&result["behavior"], &result["behaviorClose"]);
         let behavior = behavior.as_str().expect("a verdict");
         let close = close.as_str().expect("a verdict");
+        let behavior = match judged {
+            Judged::All => behavior,
+            Judged::Close => "OK",
+        };
         let verdict = match (behavior, close) {
             ("OK", "OK") => "OK".to_owned(),
             ("OK", close) => format!("close {close}"),
@@ -132,8 +148,29 @@ async fn the_websocket_of_the_service_passes_the_autobahn_test_suite() {
         excluded.push("9.*");
     }
     let server_spec = json!({"agent": "skycell", "url": format!("ws://{address}/")});
-    let verdicts = run(command, server_spec, &["*"], &excluded).await;
+    let verdicts = run(command, server_spec, &["*"], &excluded, Judged::All).await;
     assert_conforms(&verdicts, if is_full { 301 } else { 247 });
     shutdown.cancel();
     server.await.expect("no panic");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn viewers_connections_pass_the_cases_that_need_no_echo() {
+    let Some(command) = wstest() else { return };
+    let world = start().await;
+    let server = json!({
+        "agent": "skycell", "url": format!("ws://{}/ws", world.address()), "protocols": ["skycell.v1"],
+    });
+    // Pings, and how a connection is closed by the client.
+    let quiet = [
+        "2.1", "2.2", "2.3", "2.4", "2.6", "2.7", "2.8", "2.9", "2.10", "2.11", "7.1.2", "7.1.3",
+        "7.1.4", "7.1.5", "7.3.1", "7.3.3", "7.3.4", "7.3.5", "7.7.*", "7.9.*",
+    ];
+    let verdicts = run(command.clone(), server.clone(), &quiet, &[], Judged::All).await;
+    assert_conforms(&verdicts, 40);
+    // Violations: the error message that this protocol sends before it closes is none of the suite's.
+    let violations = ["2.5", "3.*", "4.*", "7.3.2", "7.3.6", "7.5.1"];
+    let verdicts = run(command, server, &violations, &[], Judged::Close).await;
+    assert_conforms(&verdicts, 21);
+    world.goes_on().await;
 }
