@@ -216,6 +216,51 @@ set_runtime_dir() {
     export XDG_RUNTIME_DIR="$folder"
 }
 
+# Prints a Python 2.7, which the Autobahn test suite needs and distributions no longer have.
+find_python2() {
+    local python
+    for python in "${PYTHON2:-}" python2.7 python2 "${PYENV_ROOT:-${HOME:-/root}/.pyenv}"/versions/2.7*/bin/python2.7; do
+        if [[ -n "$python" ]] && "$python" -m pip --version >/dev/null 2>&1 \
+            && "$python" -c 'import sys; sys.exit(sys.version_info[:2] != (2, 7))'; then
+            printf '%s' "$python"
+            return 0
+        fi
+    done
+    return 1
+}
+
+# The Autobahn test suite (WebSocket conformance), and the folder that it is installed into.
+autobahn_version=25.10.1
+
+# Installs the Autobahn test suite and sets SKYCELL_WSTEST; or says why not, and the tests say SKIPPED.
+prepare_wstest() {
+    [[ -z "${SKYCELL_WSTEST:-}" ]] || return 0
+    local python folder
+    if ! python="$(find_python2)"; then
+        say "SKIPPED: the Autobahn test suite (WebSocket conformance), because there is no Python 2.7 with pip. To run it, set"
+        say "PYTHON2 to one, or SKYCELL_WSTEST to its command wstest"
+        return 0
+    fi
+    folder="$(target_folder)/autobahn-$autobahn_version"
+    if [[ ! -x "$folder/wstest" ]]; then
+        say "installing the Autobahn test suite $autobahn_version for $python into $folder, with pip"
+        rm -rf "$folder"
+        if ! "$python" -m pip install --quiet --disable-pip-version-check --no-warn-script-location \
+            --target "$folder/site" "autobahntestsuite==$autobahn_version" >&2; then
+            say "SKIPPED: the Autobahn test suite (WebSocket conformance), because pip could not install it"
+            return 0
+        fi
+        # Its own command does not find packages of --target, some of which are reached by .pth files.
+        {
+            printf '#!/bin/sh\n'
+            printf 'exec "%s" -c '\''import site; site.addsitedir("%s"); ' "$python" "$folder/site"
+            printf 'from autobahntestsuite.wstest import run; run()'\'' "$@"\n'
+        } >"$folder/wstest"
+        chmod +x "$folder/wstest"
+    fi
+    export SKYCELL_WSTEST="$folder/wstest"
+}
+
 # Where cargo puts what it builds.
 target_folder() {
     case "${CARGO_TARGET_DIR:-}" in

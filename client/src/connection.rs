@@ -16,7 +16,9 @@ use tokio_tungstenite::tungstenite::client::ClientRequestBuilder;
 use tokio_tungstenite::tungstenite::http::Uri;
 use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
 use tokio_tungstenite::tungstenite::{self, Bytes, Message};
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
+use tokio_tungstenite::{
+    Connector, MaybeTlsStream, WebSocketStream, connect_async_tls_with_config,
+};
 
 use crate::ServerAddress;
 use crate::unix_time::unix_us_now;
@@ -162,7 +164,7 @@ pub struct Connection {
 }
 
 impl Connection {
-    /// Connects, says `hello` and waits for the welcome.
+    /// Connects, says `hello`, with the token of the address if it has none itself, and waits for the welcome.
     ///
     /// # Errors
     /// If nobody is there, the server refuses, or it takes too long.
@@ -172,6 +174,10 @@ impl Connection {
         limits: ConnectionLimits,
     ) -> Result<Self, ConnectionError> {
         let mut wire = Wire::connect(address, limits).await?;
+        let mut hello = hello;
+        if hello.token.is_none() {
+            hello.token = address.access().token().cloned();
+        }
         wire.send(&ClientMessage::Hello(hello)).await?;
         let welcome = timeout(limits.connect_timeout, wire.await_welcome())
             .await
@@ -279,11 +285,14 @@ impl Wire {
         let config = WebSocketConfig::default()
             .max_message_size(Some(limits.message_max_bytes))
             .max_frame_size(Some(limits.message_max_bytes));
+        let connector = address
+            .is_tls()
+            .then(|| Connector::Rustls(address.access().tls_config(true)));
         // Nagle would hold a camera back until the acknowledgement before it is itself acknowledged.
         let without_nagle = true;
         let (socket, _response) = timeout(
             limits.connect_timeout,
-            connect_async_with_config(request, Some(config), without_nagle),
+            connect_async_tls_with_config(request, Some(config), without_nagle, connector),
         )
         .await
         .map_err(|_| timed_out("the connection", limits.connect_timeout))?

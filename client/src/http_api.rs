@@ -139,6 +139,19 @@ fn json_of(url: &reqwest::Url, body: &[u8]) -> Result<Value, HttpApiError> {
     })
 }
 
+/// The token as a header of every request, marked so that nothing prints it.
+fn authorization(address: &ServerAddress) -> header::HeaderMap {
+    let mut headers = header::HeaderMap::new();
+    let token = address.access().token();
+    if let Some(mut value) = token
+        .and_then(|token| header::HeaderValue::try_from(format!("Bearer {}", token.text())).ok())
+    {
+        value.set_sensitive(true);
+        headers.insert(header::AUTHORIZATION, value);
+    }
+    headers
+}
+
 /// A client of a server's HTTP API. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct HttpApi {
@@ -152,11 +165,15 @@ impl HttpApi {
     /// # Errors
     /// If this machine lacks what an HTTP client needs.
     pub fn new(address: ServerAddress) -> Result<Self, HttpApiError> {
+        let tls = address.access().tls_config(address.is_tls());
+        let tls = rustls::ClientConfig::clone(&tls);
         let client = reqwest::Client::builder()
             .timeout(REQUEST_TIMEOUT)
             // It only talks to the address it was given: not to a proxy, not to where a redirect points.
             .no_proxy()
             .redirect(reqwest::redirect::Policy::none())
+            .default_headers(authorization(&address))
+            .tls_backend_preconfigured(tls)
             .build()
             .map_err(|cause| HttpApiError::Request {
                 method: Method::GET,

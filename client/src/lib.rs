@@ -4,6 +4,7 @@
 //! and acknowledges them. [`Session`] comes back when it is lost. [`HttpApi`] reads and patches the scene and reads the server's counters.
 //! [`record`] and [`load`] are what the binary `skycell` does with them.
 
+pub mod access;
 pub mod camera_path;
 pub mod clouds_file;
 pub mod connection;
@@ -16,6 +17,7 @@ pub mod server_stats;
 pub mod session;
 pub mod unix_time;
 
+pub use access::{Access, AccessError};
 pub use connection::{Connection, ConnectionError, ConnectionLimits, Event, Frame};
 pub use http_api::{HttpApi, HttpApiError, MapChoice, SceneRevision};
 pub use server_address::{ServerAddress, ServerAddressError};

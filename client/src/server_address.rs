@@ -6,17 +6,21 @@ use std::str::FromStr;
 use reqwest::Url;
 use thiserror::Error;
 
+use crate::Access;
+
 /// The path of the WebSocket under the server's root.
 const WEBSOCKET_PATH: &str = "ws";
 
-/// A server's address, written as `ws://host:port/ws` or `http://host:port`.
+/// A server's address, written as `ws://host:port/ws` or `http://host:port`, with TLS as `wss://` or `https://`; and how
+/// a client is let in there.
 ///
 /// Behind a proxy the server may stand under a path: `ws://host/sky/ws` has its API at
 /// `http://host/sky/api/v1/`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServerAddress {
-    /// `http://host:port/prefix/`, with the slash at its end.
+    /// `http://host:port/prefix/` or `https://`, with the slash at its end.
     root: Url,
+    access: Access,
 }
 
 /// Why a text is no server address.
@@ -31,14 +35,8 @@ pub enum ServerAddressError {
         /// What the parser says.
         reason: String,
     },
-    /// Encrypted schemes need a TLS library, which this client does without.
-    #[error(
-        "{0}:// needs TLS, which this client does not speak; connect from inside with ws:// or \
-         through a local tunnel"
-    )]
-    Tls(String),
     /// Another scheme.
-    #[error("{0}:// is no scheme of a Skycell server; allowed: ws://, http://")]
+    #[error("{0}:// is no scheme of a Skycell server; allowed: ws://, wss://, http://, https://")]
     UnknownScheme(String),
 }
 
@@ -46,8 +44,25 @@ impl ServerAddress {
     /// The address of the WebSocket.
     pub fn websocket_url(&self) -> String {
         let path = self.http_url(WEBSOCKET_PATH);
-        // The scheme of the root is always http.
+        // The scheme of the root is http or https.
         format!("ws{}", path.as_str().trim_start_matches("http"))
+    }
+
+    /// Whether TLS is spoken there.
+    pub fn is_tls(&self) -> bool {
+        self.root.scheme() == "https"
+    }
+
+    /// The same server, for a client with a token or its own authorities.
+    #[must_use]
+    pub fn with_access(mut self, access: Access) -> Self {
+        self.access = access;
+        self
+    }
+
+    /// How a client is let in there.
+    pub fn access(&self) -> &Access {
+        &self.access
     }
 
     /// The address of a resource, such as `api/v1/scene`.
@@ -67,12 +82,12 @@ impl FromStr for ServerAddress {
             reason,
         };
         let url = Url::parse(text).map_err(|error| not_a_url(error.to_string()))?;
-        match url.scheme() {
-            "ws" | "http" => {}
-            tls @ ("wss" | "https") => return Err(ServerAddressError::Tls(tls.to_owned())),
+        let scheme = match url.scheme() {
+            "ws" | "http" => "http",
+            "wss" | "https" => "https",
             // `localhost:8080` parses as a URL of the scheme `localhost`.
             other => return Err(ServerAddressError::UnknownScheme(other.to_owned())),
-        }
+        };
         let host_and_port = url
             .as_str()
             .split_once("://")
@@ -85,9 +100,12 @@ impl FromStr for ServerAddress {
             .filter(|prefix| prefix.ends_with('/'))
             .unwrap_or(path)
             .trim_end_matches('/');
-        let root = Url::parse(&format!("http://{host_and_port}{prefix}/"))
+        let root = Url::parse(&format!("{scheme}://{host_and_port}{prefix}/"))
             .map_err(|error| not_a_url(error.to_string()))?;
-        Ok(Self { root })
+        Ok(Self {
+            root,
+            access: Access::default(),
+        })
     }
 }
 
@@ -144,6 +162,15 @@ mod tests {
             address("ws://[::1]:8080").websocket_url(),
             "ws://[::1]:8080/ws"
         );
+        let with_tls = address("https://sky.example:8443");
+        assert!(with_tls.is_tls() && !address("ws://sky.example").is_tls());
+        assert_eq!(with_tls.websocket_url(), "wss://sky.example:8443/ws");
+        assert_eq!(
+            address("wss://sky.example/ws")
+                .http_url("api/v1/scene")
+                .as_str(),
+            "https://sky.example/api/v1/scene"
+        );
         assert_eq!(
             address("ws://sky.example:80/ws").websocket_url(),
             "ws://sky.example/ws"
@@ -153,10 +180,14 @@ mod tests {
     #[test]
     fn other_schemes_are_refused_with_what_is_allowed() {
         for (text, part) in [
-            ("wss://sky.example/ws", "TLS"),
-            ("https://sky.example", "TLS"),
-            ("ftp://sky.example", "allowed: ws://, http://"),
-            ("localhost:8080", "allowed: ws://, http://"),
+            (
+                "ftp://sky.example",
+                "allowed: ws://, wss://, http://, https://",
+            ),
+            (
+                "localhost:8080",
+                "allowed: ws://, wss://, http://, https://",
+            ),
             ("127.0.0.1:8080", "write one like"),
             ("", "write one like"),
         ] {

@@ -38,6 +38,12 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  */
 
 /**
+ * @typedef {object} Token
+ * @property {() => string | null} current  sent with every hello
+ * @property {() => Promise<boolean>} refused  the server does not take it: whether there is another one to try
+ */
+
+/**
  * @typedef {object} PickedQuality  what the server has picked
  * @property {string} name  of the preset, or "custom"
  * @property {number} flip  mean FLIP against the converged picture
@@ -160,9 +166,16 @@ const nextAnimationFrame = (/** @type {() => void} */ run) =>
  * @param {View} options.view
  * @param {Camera} options.camera
  * @param {"cached" | "screen-space"} [options.renderer]
+ * @param {Token} [options.token]  for a server that demands one
  */
 export function connect(url, options) {
   return new Connection(url, options);
+}
+
+/** @param {Token | undefined} token */
+function tokenMember(token) {
+  const current = token?.current() ?? null;
+  return current === null ? {} : { token: current };
 }
 
 /** Made by {@link connect}. */
@@ -170,6 +183,7 @@ export class Connection {
   /** @type {WebSocket | null} */ #socket = null;
   /** @type {View} */ #view;
   /** @type {Camera} */ #camera;
+  /** @type {Token | undefined} */ #token;
   /** What the server last heard, as JSON. */ #camera_sent = "";
   #flush_scheduled = false;
   #last_input = 0;
@@ -206,11 +220,12 @@ export class Connection {
 
   /**
    * @param {string | URL} url
-   * @param {{ view: View, camera: Camera, renderer?: "cached" | "screen-space" }} options
+   * @param {{ view: View, camera: Camera, renderer?: "cached" | "screen-space", token?: Token }} options
    */
-  constructor(url, { view, camera, renderer }) {
+  constructor(url, { view, camera, renderer, token }) {
     this.url = String(url);
     this.renderer = renderer;
+    this.#token = token;
     this.#view = { ...view };
     this.#camera = { ...camera };
     this.#status_timer = setInterval(() => this.#tick(), STATUS_PERIOD_MS);
@@ -269,7 +284,7 @@ export class Connection {
 
   /** Does not wait for the rest of the back-off. */
   retryNow() {
-    if (this.#status.state === "waiting") this.#open();
+    if (this.#status.state === "waiting" && Number.isFinite(this.#retry_ms)) this.#open();
   }
 
   /** Ends the connection for good. */
@@ -293,6 +308,7 @@ export class Connection {
         ...this.#view,
         camera: this.#camera,
         ...(this.renderer && { renderer: this.renderer }),
+        ...tokenMember(this.#token),
       });
     };
     socket.onmessage = (event) => {
@@ -329,6 +345,8 @@ export class Connection {
         this.#status.problem = message.message;
         if (message.code === "wrong-protocol") {
           this.#end("The server speaks another version of the protocol: reload the page.");
+        } else if (message.code === "unauthorized") {
+          this.#refused(message.message);
         } else {
           this.#report();
         }
@@ -454,6 +472,24 @@ export class Connection {
     this.#retry_timer = setTimeout(() => this.#open(), delay_ms);
   }
 
+  /**
+   * Without another token there is nothing to try again.
+   * @param {string} why
+   */
+  #refused(why) {
+    const socket = this.#socket;
+    this.#forgetSession(); // its close is no loss that a retry would mend
+    socket?.close(1000);
+    this.#change("waiting", "Waiting for a token");
+    this.#retry_ms = Number.POSITIVE_INFINITY;
+    void (async () => {
+      const has_another = await this.#token?.refused();
+      if (this.#status.state !== "waiting" || this.#socket) return;
+      if (has_another) this.#open();
+      else this.#end(`Not let in: ${why}`);
+    })();
+  }
+
   #forgetSession() {
     this.#socket = null;
     this.#opened_ms = 0;
@@ -493,7 +529,7 @@ export class Connection {
     const bytes = this.#received.reduce((sum, { bytes }) => sum + bytes, 0);
     this.#status.fps = this.#shown.length / (RATE_WINDOW_MS / 1000);
     this.#status.mbit_per_s = (bytes * 8) / 1e6 / (RATE_WINDOW_MS / 1000);
-    if (this.#status.state === "waiting") {
+    if (this.#status.state === "waiting" && Number.isFinite(this.#retry_ms)) {
       this.#status.retry_in_s = Math.max(0, Math.ceil((this.#retry_ms - performance.now()) / 1000));
     }
     for (const handler of this.#status_handlers) handler(this.status);

@@ -20,6 +20,7 @@ import { attachSide } from "./side.js";
 import { attachSkyControls } from "./sky-controls.js";
 import { savePicture } from "./snapshot.js";
 import { attachTheme } from "./theme.js";
+import { connectionToken, sendTokens } from "./token.js";
 import { createView } from "./view.js";
 import { drawBar, fetchViews, tick } from "./views.js";
 import { withMargin } from "./warp.js";
@@ -32,6 +33,8 @@ const SETTLE_AFTER_RESIZE_MS = 200;
 const DEFAULT_FPS = 30;
 /** How much larger than shown a picture is asked for, so that there is something to turn to: 7.5 % beyond each edge. */
 const MARGIN = 0.15;
+
+sendTokens();
 
 const query = new URLSearchParams(location.search);
 
@@ -142,6 +145,7 @@ const connection = connect(socket_url, {
     stereo: wantedEyes(),
   },
   camera: askedCamera(home),
+  token: connectionToken,
 });
 connection_status = () => connection.status;
 connection.onFrame(view.show);

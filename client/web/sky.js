@@ -3,6 +3,8 @@
  * The sky's clock and its presets: what the page shows of them and asks the server for.
  */
 
+import { watchEvents } from "./token.js";
+
 /**
  * @typedef {object} SkyTime
  * @property {number} revision
@@ -124,9 +126,9 @@ export const patchScene = (patch) => ask("scene", "PATCH", patch);
  * @param {(report: SkyTime) => void} onReport
  */
 export function watchSky(onReport) {
-  const events = new EventSource(new URL("api/v1/scene/events", location.href));
-  events.addEventListener("scene", (event) => onReport(JSON.parse(event.data)));
-  return () => events.close();
+  return watchEvents(new URL("api/v1/scene/events", location.href), (name, data) => {
+    if (name === "scene") onReport(JSON.parse(data));
+  });
 }
 
 const DEG = Math.PI / 180;

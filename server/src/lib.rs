@@ -2,6 +2,7 @@
 //!
 //! The modules stand in the order in which data passes them.
 
+pub mod access;
 pub mod clock;
 pub mod config;
 pub mod metrics;
@@ -32,4 +33,5 @@ pub mod doctor;
 pub mod measure;
 pub mod render_command;
 pub mod service;
+pub mod token_command;
 pub mod truth;

@@ -13,6 +13,7 @@ use skycell_server::doctor::{self, DoctorArguments};
 use skycell_server::measure::{self, MeasureArguments};
 use skycell_server::probe::{self, command::ProbeArguments};
 use skycell_server::render_command::{self, RenderArguments};
+use skycell_server::token_command::{self, TokenArguments};
 
 /// Renders a shared sky and streams it to its viewers.
 #[derive(Parser)]
@@ -45,6 +46,8 @@ enum Command {
     /// Say which adapters there are, whether they can render, and how to get what is missing.
     #[command(after_help = "Example: skycell-server doctor --json")]
     Doctor(DoctorArguments),
+    /// Make the tokens that a server demands.
+    Token(TokenArguments),
 }
 
 #[derive(Args)]
@@ -82,6 +85,7 @@ fn main() -> ExitCode {
         Command::Probe(arguments) => probe::command::run(&arguments),
         Command::Measure(arguments) => measure::run(&arguments),
         Command::Doctor(arguments) => doctor::run(&arguments),
+        Command::Token(arguments) => token_command::run(&arguments),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

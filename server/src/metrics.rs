@@ -14,6 +14,7 @@ use metrics_exporter_prometheus::{
 };
 use metrics_util::MetricKindMask;
 
+use crate::access::Refusal;
 use crate::frame_loop::interface::RenderStats;
 pub use service::ServiceFigures;
 
@@ -45,6 +46,8 @@ pub struct Metrics {
     pub encode_wait_s: Histogram,
     /// From the composite's submission until the client's acknowledgement.
     pub frame_age_s: Histogram,
+    /// By [`Refusal::ALL`].
+    refusals: [Counter; Refusal::ALL.len()],
 }
 
 impl Metrics {
@@ -69,6 +72,8 @@ impl Metrics {
                 histogram!("skycell_encode_wait_seconds"),
                 histogram!("skycell_frame_age_seconds"),
                 histogram!("skycell_encode_seconds", "codec" => "clouds"),
+                Refusal::ALL
+                    .map(|refusal| counter!("skycell_refusals_total", "reason" => refusal.name())),
             )
         });
         Ok(Self {
@@ -82,7 +87,15 @@ impl Metrics {
             encode_wait_s: metrics.5,
             frame_age_s: metrics.6,
             encode_clouds_s: metrics.7,
+            refusals: metrics.8,
         })
+    }
+
+    /// Counts somebody who was refused.
+    pub fn refused(&self, refusal: Refusal) {
+        if let Some(index) = Refusal::ALL.iter().position(|known| *known == refusal) {
+            self.refusals[index].increment(1);
+        }
     }
 
     /// Folds recorded durations into their buckets. To be called every few seconds: until then
@@ -110,6 +123,10 @@ fn describe() {
         "skycell_bytes_sent_total",
         Unit::Bytes,
         "Bytes of messages handed to sockets"
+    );
+    describe_counter!(
+        "skycell_refusals_total",
+        "Requests, viewers and connections that were refused, by reason"
     );
     describe_histogram!("skycell_encode_seconds", "Duration of encoding a frame");
     describe_histogram!(

@@ -5,10 +5,12 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use skycell_server::access;
 use skycell_server::config::{Config, LogFormat};
 use skycell_server::frame_loop::FrameLoop;
 use skycell_server::frame_loop::interface::{FrameLoopHandle, RenderCommand};
 use skycell_server::service::{Service, ServiceParts};
+use tracing_subscriber::filter::{FilterExt, filter_fn};
 use tracing_subscriber::layer::{Layer, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Registry};
@@ -34,7 +36,7 @@ pub(crate) fn run(config: Config) -> anyhow::Result<()> {
     let served = runtime.block_on(async {
         let mut signals = Signals::new()?;
         let service = parts.start(handle).await?;
-        println!("listening on http://{}", service.address());
+        println!("listening on {}", service.url());
         let signal = tokio::select! {
             signal = signals.next() => Some(signal),
             () = ended(&renderer) => None,
@@ -93,6 +95,7 @@ fn start_log(
         .log
         .parse()
         .with_context(|| format!("log = \"{}\" is no filter, such as info", config.log))?;
+    let filter = filter.and(filter_fn(access::holds_no_secret));
     let log = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
     let log: BoxedLayer = match config.log_format {
         LogFormat::Text => log

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
 use serde_json::{Value, json};
-use skycell_client::{HttpApi, ServerAddress};
+use skycell_client::{Access, HttpApi, ServerAddress};
 
 use crate::{PATIENCE, until};
 
@@ -33,12 +33,16 @@ pub struct ServerOptions {
     pub arguments: Vec<String>,
     /// Further environment variables.
     pub environment: Vec<(String, String)>,
+    /// How the test's own clients are let in.
+    pub access: Access,
 }
 
 /// A running server; killed when dropped.
 pub struct Server {
     child: Child,
-    address: String,
+    /// `http://HOST:PORT`, or `https://`.
+    origin: String,
+    access: Access,
     api: HttpApi,
     http: reqwest::Client,
     log: PathBuf,
@@ -116,26 +120,35 @@ impl Server {
             .envs(options.environment.iter().cloned())
             // Ours, not the server's, which warns of SKYCELL_ variables that it does not know.
             .env_remove("SKYCELL_BIN_DIR")
+            .env_remove("SKYCELL_TOKEN")
+            .env_remove("SKYCELL_WSTEST")
+            .env_remove("SKYCELL_FULL")
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(std::fs::File::create(&log)?)
             .spawn()
             .with_context(|| format!("{} does not start", binary.display()))?;
-        let address = match address_of(&mut child).await {
-            Ok(address) => address,
+        // Whatever asks for TLS in this process finds it.
+        let _ = rustls::crypto::ring::default_provider().install_default();
+        let origin = match origin_of(&mut child).await {
+            Ok(origin) => origin,
             Err(error) => {
                 let _ = child.kill();
                 let _ = child.wait();
                 bail!("{error}; its log ends with:\n{}", tail(&log));
             }
         };
-        let server_address: ServerAddress = format!("http://{address}").parse()?;
+        let access = options.access;
+        let server_address = origin.parse::<ServerAddress>()?.with_access(access.clone());
+        let tls = access.tls_config(server_address.is_tls());
         let server = Self {
             child,
-            address,
+            origin,
+            access,
             api: HttpApi::new(server_address)?,
             http: reqwest::Client::builder()
                 .no_proxy()
+                .tls_backend_preconfigured(rustls::ClientConfig::clone(&tls))
                 .timeout(Duration::from_secs(20))
                 .build()?,
             log,
@@ -152,7 +165,25 @@ impl Server {
 
     /// HOST:PORT.
     pub fn address(&self) -> &str {
-        &self.address
+        self.origin
+            .split_once("://")
+            .map_or(self.origin.as_str(), |(_, address)| address)
+    }
+
+    /// Its log so far.
+    pub fn log(&self) -> String {
+        std::fs::read_to_string(&self.log).unwrap_or_default()
+    }
+
+    /// Tells it to read tokens and certificate again.
+    ///
+    /// # Errors
+    /// When the signal cannot be sent.
+    pub fn hang_up(&self) -> anyhow::Result<()> {
+        let id = self.child.id().to_string();
+        let sent = Command::new("kill").args(["-HUP", &id]).status()?;
+        ensure!(sent.success(), "kill: {sent}");
+        Ok(())
     }
 
     /// As clients write it.
@@ -160,7 +191,8 @@ impl Server {
     /// # Errors
     /// Never for a server that has started.
     pub fn client_address(&self) -> anyhow::Result<ServerAddress> {
-        Ok(format!("http://{}", self.address).parse()?)
+        let address: ServerAddress = self.origin.parse()?;
+        Ok(address.with_access(self.access.clone()))
     }
 
     /// The HTTP API as clients use it.
@@ -175,7 +207,7 @@ impl Server {
 
     /// Address of a path without its leading slash.
     pub fn url(&self, path: &str) -> String {
-        format!("http://{}/{path}", self.address)
+        format!("{}/{path}", self.origin)
     }
 
     /// The answer to a GET as JSON.
@@ -327,14 +359,14 @@ pub fn total_of(stats: &Value, name: &str) -> anyhow::Result<u64> {
         .with_context(|| format!("no totals.{name} in {stats}"))
 }
 
-/// Reads the address that the server prints, and goes on reading so that it never waits for a reader.
-async fn address_of(child: &mut Child) -> anyhow::Result<String> {
+/// Reads where it listens, which the server prints, and goes on reading so that it never waits for a reader.
+async fn origin_of(child: &mut Child) -> anyhow::Result<String> {
     let stdout = child.stdout.take().context("a pipe")?;
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
         for line in BufReader::new(stdout).lines().map_while(Result::ok) {
-            if let Some(address) = line.strip_prefix("listening on http://") {
-                let _ = sender.send(address.trim_end_matches('/').to_owned());
+            if let Some(origin) = line.strip_prefix("listening on ") {
+                let _ = sender.send(origin.trim_end_matches('/').to_owned());
             }
         }
     });

@@ -8,7 +8,9 @@ use skycell_client::ServerAddress;
 use skycell_client::load::{self, LoadOptions, LoadReport, SoakOptions, ViewerRing};
 use skycell_protocol::FrameSize;
 
-use super::{QualityArgument, asked_to_stop, print_line, progress_bar, size_and_eyes};
+use super::{
+    AccessArguments, QualityArgument, asked_to_stop, print_line, progress_bar, size_and_eyes,
+};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -35,6 +37,8 @@ pub(crate) struct Arguments {
     /// The server's address.
     #[arg(long, default_value = "ws://127.0.0.1:8080/ws")]
     url: ServerAddress,
+    #[command(flatten)]
+    access: AccessArguments,
     /// How many viewers.
     #[arg(long, default_value_t = 16)]
     viewers: u32,
@@ -138,21 +142,16 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     if let Some(file) = file {
         std::fs::File::create(file).with_context(|| file.display().to_string())?;
     }
+    let address = arguments.access.address(&arguments.url)?;
     let progress = progress_bar("{spinner} {pos}/{len} overlaps  {msg}");
     progress.set_length(options.overlaps.len() as u64);
     progress.enable_steady_tick(Duration::from_millis(200));
     let mut saved = Ok(());
-    let result = load::run(
-        &arguments.url,
-        &options,
-        &progress,
-        asked_to_stop(),
-        |report| {
-            if let (Some(file), Ok(())) = (file, &saved) {
-                saved = save(file, report);
-            }
-        },
-    )
+    let result = load::run(&address, &options, &progress, asked_to_stop(), |report| {
+        if let (Some(file), Ok(())) = (file, &saved) {
+            saved = save(file, report);
+        }
+    })
     .await;
     progress.finish_and_clear();
     let report = result?;
@@ -181,8 +180,9 @@ async fn soak(arguments: &Arguments) -> anyhow::Result<()> {
         max_error: arguments.max_error,
         pace: arguments.pace,
     };
+    let address = arguments.access.address(&arguments.url)?;
     let progress = progress_bar("{spinner} {pos}/{len} s  {msg}");
-    let result = load::soak(&arguments.url, &options, &progress, asked_to_stop()).await;
+    let result = load::soak(&address, &options, &progress, asked_to_stop()).await;
     progress.finish_and_clear();
     let report = result?;
     let json = serde_json::to_string_pretty(&report)?;

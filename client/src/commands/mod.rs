@@ -6,15 +6,46 @@ pub(crate) mod scene;
 mod scene_map;
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
+use skycell_client::{Access, ServerAddress};
 use skycell_protocol::{FrameSize, QualityPreset, Stereo};
 
 /// A camera path or a merge patch is no longer than this.
 const INPUT_MAX_BYTES: u64 = 8 << 20;
+
+/// The variable that holds the token, unless a flag names a file.
+const TOKEN_VARIABLE: &str = "SKYCELL_TOKEN";
+
+/// How this client is let in.
+#[derive(Debug, clap::Args)]
+pub(crate) struct AccessArguments {
+    /// The file whose first line is the token that the server demands; without it SKYCELL_TOKEN, if that is set.
+    #[arg(long, value_name = "FILE", global = true)]
+    token_file: Option<PathBuf>,
+    /// PEM file of the authorities that are trusted to name a server, instead of the system's.
+    #[arg(long, value_name = "FILE", global = true)]
+    ca_file: Option<PathBuf>,
+}
+
+impl AccessArguments {
+    /// The address with what lets this client in.
+    fn address(&self, url: &ServerAddress) -> anyhow::Result<ServerAddress> {
+        let mut access = Access::default();
+        if let Some(path) = &self.token_file {
+            access = access.with_token_file(path).context("--token-file")?;
+        } else if let Some(text) = std::env::var_os(TOKEN_VARIABLE) {
+            access = access.with_token_text(&text.to_string_lossy(), TOKEN_VARIABLE)?;
+        }
+        if let Some(path) = &self.ca_file {
+            access = access.with_ca_file(path).context("--ca-file")?;
+        }
+        Ok(url.clone().with_access(access))
+    }
+}
 
 /// `--quality`.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]

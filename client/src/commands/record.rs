@@ -10,7 +10,9 @@ use skycell_client::camera_path::CameraPath;
 use skycell_client::record::{RECORDING_FRAMES_MAX, RecordOptions, record};
 use skycell_protocol::{Camera, Codec};
 
-use super::{QualityArgument, print_line, progress_bar, read_json_file, size_and_eyes};
+use super::{
+    AccessArguments, QualityArgument, print_line, progress_bar, read_json_file, size_and_eyes,
+};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -33,6 +35,8 @@ pub(crate) struct Arguments {
     /// The server's address.
     #[arg(long, default_value = "ws://127.0.0.1:8080/ws")]
     url: ServerAddress,
+    #[command(flatten)]
+    access: AccessArguments,
     /// Where to write frame-00000.png and so on, and index.json; made if missing.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -90,7 +94,7 @@ const WAIT_MAX_S: f64 = 3600.0;
 
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let json = arguments.json;
-    let address = arguments.url.clone();
+    let address = arguments.access.address(&arguments.url)?;
     let options = options(arguments)?;
     let progress = progress_bar("{bar:40} {pos}/{len} frames, {eta} left");
     let index = record(&address, &options, &progress).await?;

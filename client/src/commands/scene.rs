@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use skycell_client::{HttpApi, SceneRevision, ServerAddress};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-use super::{print_line, read_json, scene_map};
+use super::{AccessArguments, print_line, read_json, scene_map};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -29,6 +29,8 @@ pub(crate) struct Arguments {
     /// The server's address.
     #[arg(long, default_value = "ws://127.0.0.1:8080/ws", global = true)]
     url: ServerAddress,
+    #[command(flatten)]
+    access: AccessArguments,
     /// One JSON object a line: revision, etag, scene.
     #[arg(long, global = true)]
     json: bool,
@@ -180,7 +182,7 @@ enum PresetCommand {
 const WATCH_FAILURES_MAX: u32 = 30;
 
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
-    let api = HttpApi::new(arguments.url)?;
+    let api = HttpApi::new(arguments.access.address(&arguments.url)?)?;
     let json = arguments.json;
     match arguments.command {
         Command::Get => print_scene(&api.scene().await?, json),

@@ -54,6 +54,41 @@ test("hello comes first and says everything", (t) => {
   assert.deepEqual(socket.sent, [{ type: "hello", protocol: 1, width: 640, height: 360, fps: 30, camera }]);
 });
 
+test("a token that is refused is asked for, and the next hello has the new one", async (t) => {
+  globalThis.WebSocket = FakeWebSocket;
+  let known = null;
+  const connection = connect("ws://sky.test/ws", {
+    view: { width: 640, height: 360, fps: 30 }, camera,
+    token: { current: () => known, refused: async () => ((known = "sky_new"), true) },
+  });
+  t.after(() => connection.close());
+  const first = FakeWebSocket.made.at(-1);
+  first.open();
+  assert.equal("token" in first.sent[0], false);
+  first.say({ type: "error", code: "unauthorized", message: "this server needs a token" });
+  first.onclose({ code: 4401, reason: "unauthorized" });
+  await afterAnimationFrame();
+  const second = FakeWebSocket.made.at(-1);
+  assert.notEqual(second, first);
+  second.open();
+  assert.equal(second.sent[0].token, "sky_new");
+  second.say(welcome);
+  assert.equal(connection.status.state, "open");
+});
+
+test("without another token a refused connection ends and does not hammer the server", async (t) => {
+  globalThis.WebSocket = FakeWebSocket;
+  const connection = connect("ws://sky.test/ws", { view: { width: 64, height: 36, fps: 30 }, camera });
+  t.after(() => connection.close());
+  const socket = FakeWebSocket.made.at(-1);
+  socket.open();
+  socket.say({ type: "error", code: "unauthorized", message: "this server needs a token" });
+  await afterAnimationFrame();
+  assert.equal(connection.status.state, "closed");
+  assert.match(connection.status.message, /needs a token/);
+  assert.equal(FakeWebSocket.made.at(-1), socket);
+});
+
 test("of many camera changes within an animation frame only the last is sent, and only if it differs", async (t) => {
   const { connection, socket } = connected(t);
   for (let yaw_deg = 1; yaw_deg <= 50; yaw_deg += 1) connection.setCamera({ ...camera, yaw_deg });

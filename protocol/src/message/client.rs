@@ -5,6 +5,7 @@ use serde_json::Value;
 use thiserror::Error;
 
 use super::server::{ErrorCode, ErrorMessage};
+use super::token::AccessToken;
 use crate::read_json::{ObjectReader, nearest_name};
 use crate::view::FRAMES_PER_SECOND;
 use crate::{
@@ -54,6 +55,9 @@ pub struct Hello {
     pub stereo: Option<Stereo>,
     /// Colour of clouds alone includes the haze in front of them.
     pub haze: bool,
+    /// Lets the client in, where the server demands it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub token: Option<AccessToken>,
 }
 
 impl Hello {
@@ -71,6 +75,7 @@ impl Hello {
             show: Show::default(),
             stereo: None,
             haze: true,
+            token: None,
         }
     }
 }
@@ -267,6 +272,7 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         "show",
         "stereo",
         "haze",
+        "token",
     ])?;
     let stereo = members.member_or("stereo", None)?;
     let codec = members.required("codec", "\"jpeg\", \"png\" or \"clouds\"")?;
@@ -291,6 +297,7 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
             .for_codec(codec)?,
         stereo,
         haze: members.member_or("haze", true)?,
+        token: members.optional("token")?,
     })
 }
 

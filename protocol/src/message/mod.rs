@@ -5,6 +5,8 @@
 
 mod client;
 mod server;
+mod token;
 
 pub use client::{Acknowledgement, CameraInput, ClientMessage, Hello, MessageError, ViewChange};
 pub use server::{ErrorCode, ErrorMessage, PickedQuality, ServerMessage, Status, Welcome};
+pub use token::{ACCESS_TOKEN_MAX_BYTES, AccessToken};

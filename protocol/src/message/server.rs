@@ -134,6 +134,13 @@ pub enum ErrorCode {
     TooLarge,
     /// The server has as many viewers as it may.
     TooManyViewers,
+    /// The frames of all viewers together have as many pixels as they may. After a change of wishes the session goes on
+    /// with the old ones.
+    TooManyPixels,
+    /// The server needs a token, and the hello has none or one that is not known.
+    Unauthorized,
+    /// Too many wrong tokens came from the client's address.
+    RateLimited,
     /// The message does not belong to the protocol (binary), or the hello asks for a version that
     /// the server does not speak.
     WrongProtocol,
@@ -156,6 +163,9 @@ mod tests {
             (ErrorCode::HelloExpected, "hello-expected"),
             (ErrorCode::TooLarge, "too-large"),
             (ErrorCode::TooManyViewers, "too-many-viewers"),
+            (ErrorCode::TooManyPixels, "too-many-pixels"),
+            (ErrorCode::Unauthorized, "unauthorized"),
+            (ErrorCode::RateLimited, "rate-limited"),
             (ErrorCode::WrongProtocol, "wrong-protocol"),
             (ErrorCode::Internal, "internal"),
         ] {

@@ -16,22 +16,27 @@ use std::time::{Duration, Instant};
 use axum::Router;
 use axum::extract::{MatchedPath, Request, State};
 use axum::http::header::{
-    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
-    X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+    ACCEPT, AUTHORIZATION, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, HeaderName,
+    HeaderValue, IF_MATCH, IF_NONE_MATCH, REFERRER_POLICY, RETRY_AFTER, X_CONTENT_TYPE_OPTIONS,
+    X_FRAME_OPTIONS,
 };
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::{HeaderMap, Method, StatusCode};
 use axum::middleware::{Next, from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
+use tower::util::option_layer;
 use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::limit::RequestBodyLimitLayer;
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::timeout::TimeoutLayer;
 use tower_http::trace::TraceLayer;
 use tracing::Instrument;
 
+pub(crate) use page::is_page_path;
 pub use problem::Problem;
 
+use crate::access;
 use crate::metrics::ServiceFigures;
 use crate::stream::{self, StreamContext};
 use crate::traces;
@@ -48,13 +53,18 @@ const CHANGE_TIMEOUT: Duration = Duration::from_secs(60);
 /// The same for a map: up to 64 MiB, which wait for their turn to be read.
 const MAP_TIMEOUT: Duration = Duration::from_secs(120);
 
+/// How long a browser may rely on what it was told a page of another origin may do.
+const PREFLIGHT_MAX_AGE: Duration = Duration::from_secs(600);
+
 /// The page loads its own modules and pictures, and talks to its own server.
 const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
      img-src 'self' blob: data:; connect-src 'self'; manifest-src 'self'; base-uri 'none'; \
      form-action 'none'; frame-ancestors 'none'";
 
-/// Every route of the service.
+/// Every route of the service, behind its gate.
 pub fn router(context: Arc<StreamContext>) -> Router {
+    let gate = Arc::clone(&context.gate);
+    let cors = option_layer(cors(&context.allowed_origins));
     let timeout = |limit| TimeoutLayer::with_status_code(StatusCode::REQUEST_TIMEOUT, limit);
     let changes = Router::new()
         .route("/api/v1/scene", get(scene::get).patch(scene::patch))
@@ -93,15 +103,49 @@ pub fn router(context: Arc<StreamContext>) -> Router {
                 .layer(timeout(MAP_TIMEOUT)),
         )
         .with_state(Arc::clone(&context))
+        .layer(from_fn_with_state(gate, access::pass))
         .layer(CatchPanicLayer::custom(after_panic))
         .layer(map_response(problem::unify))
+        .layer(cors)
         .layer(from_fn_with_state(context, count));
     security_headers()
         .into_iter()
         .fold(router, |router, (name, value)| {
             router.layer(SetResponseHeaderLayer::if_not_present(name, value))
         })
-        .layer(TraceLayer::new_for_http())
+        // Not the whole address: a query may hold what is no business of a log.
+        .layer(
+            TraceLayer::new_for_http().make_span_with(|request: &Request| {
+                tracing::debug_span!(
+                    "request",
+                    method = %request.method(),
+                    path = request.uri().path()
+                )
+            }),
+        )
+}
+
+/// What pages of listed origins may read, beside opening `/ws`. Without any, browsers keep all answers from them.
+fn cors(allowed_origins: &[String]) -> Option<CorsLayer> {
+    if allowed_origins.is_empty() {
+        return None;
+    }
+    let origins = allowed_origins
+        .iter()
+        .filter_map(|origin| HeaderValue::from_str(origin).ok());
+    let cors = CorsLayer::new()
+        .allow_origin(AllowOrigin::list(origins))
+        .allow_methods([
+            Method::GET,
+            Method::PATCH,
+            Method::PUT,
+            Method::POST,
+            Method::DELETE,
+        ])
+        .allow_headers([AUTHORIZATION, CONTENT_TYPE, IF_MATCH, IF_NONE_MATCH, ACCEPT])
+        .expose_headers([ETAG, RETRY_AFTER])
+        .max_age(PREFLIGHT_MAX_AGE);
+    Some(cors)
 }
 
 fn security_headers() -> [(HeaderName, HeaderValue); 6] {

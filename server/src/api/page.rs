@@ -3,7 +3,7 @@
 use axum::http::header::{CONTENT_TYPE, ETAG, HeaderMap, HeaderValue, IF_NONE_MATCH};
 use axum::http::{Method, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
-use include_dir::{Dir, include_dir};
+use include_dir::{Dir, File, include_dir};
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::Problem;
@@ -15,12 +15,7 @@ const TESTS: &str = "tests/";
 
 /// A file of the page, or 404 for every path that nothing else serves.
 pub(super) async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
-    let path = match uri.path() {
-        "/" => "index.html",
-        path => path.trim_start_matches('/'),
-    };
-    let served = content_type(path).filter(|_| !path.starts_with(TESTS));
-    let (Some(file), Some(kind)) = (WEB.get_file(path), served) else {
+    let Some((file, kind)) = file_at(uri.path()) else {
         return Problem::new(
             StatusCode::NOT_FOUND,
             format!("there is nothing at {}", uri.path()),
@@ -45,6 +40,20 @@ pub(super) async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Respo
         response.headers_mut().insert(ETAG, tag);
     }
     response
+}
+
+/// Whether a file of the page is at this path. Anyone may load it.
+pub(crate) fn is_page_path(path: &str) -> bool {
+    file_at(path).is_some()
+}
+
+fn file_at(path: &str) -> Option<(&'static File<'static>, &'static str)> {
+    let path = match path {
+        "/" => "index.html",
+        path => path.trim_start_matches('/'),
+    };
+    let kind = content_type(path).filter(|_| !path.starts_with(TESTS))?;
+    Some((WEB.get_file(path)?, kind))
 }
 
 /// The kinds of files that a page has; others (notes, tests' configurations) are not served.

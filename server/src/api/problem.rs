@@ -7,6 +7,8 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use skycell_protocol::ValueError;
 
+use crate::access::Role;
+
 const PROBLEM_JSON: &str = "application/problem+json";
 
 /// How much of an error's plain text is taken over.
@@ -23,6 +25,9 @@ pub struct Problem {
     detail: String,
     #[serde(flatten)]
     value: Option<Box<BadValue>>,
+    /// The role that the request needs, if its token has another.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    role_needed: Option<&'static str>,
     #[serde(skip)]
     headers: Box<HeaderMap>,
 }
@@ -44,6 +49,7 @@ impl Problem {
             status: status.as_u16(),
             detail: detail.into(),
             value: None,
+            role_needed: None,
             headers: Box::default(),
         }
     }
@@ -64,6 +70,13 @@ impl Problem {
     pub fn with_status(mut self, status: StatusCode) -> Self {
         self.status = status.as_u16();
         self.title = status.canonical_reason().unwrap_or("Error");
+        self
+    }
+
+    /// The problem with the role that the request needs.
+    #[must_use]
+    pub fn with_role_needed(mut self, role: Role) -> Self {
+        self.role_needed = Some(role.name());
         self
     }
 

@@ -1,6 +1,7 @@
 //! The configuration of the service: a TOML file, over it the environment (`SKYCELL_...`), over
 //! it the flags of the command line. Unknown keys are refused with the nearest known one.
 
+mod access;
 mod sources;
 #[cfg(test)]
 mod tests;
@@ -20,6 +21,11 @@ use skycell_protocol::number_range::NumberRange;
 use skycell_protocol::read_json::{ObjectReader, ReadJson, read_name};
 use skycell_protocol::value_error::ValueError;
 
+pub use access::{
+    CONNECTIONS_PER_PEER_MAX, ConfiguredTokens, FAILED_TOKENS_PER_MIN, Limits, LimitsConfig,
+    MEGAPIXELS_MAX, REQUESTS_BURST, REQUESTS_PER_S, TlsConfig, UPGRADES_PER_MIN,
+    VIEWERS_PER_PEER_MAX,
+};
 pub use sources::{ConfigError, Flags, Origin};
 
 /// How many viewers may be connected at once.
@@ -73,6 +79,16 @@ pub struct Config {
     /// Origins of other sites whose pages may open `/ws`, such as `https://example.org`. Pages of
     /// this server and clients that are no browsers always may.
     pub allowed_origins: Vec<String>,
+    /// Names under which clients reach this server, such as `sky.example`, beside `localhost` and addresses.
+    pub allowed_hosts: Vec<String>,
+    /// File of tokens, one a line. With any token, here or there, every request needs one.
+    pub tokens_file: Option<PathBuf>,
+    /// Tokens, as lines of that file.
+    pub tokens: ConfiguredTokens,
+    /// How much one peer, and all viewers together, may ask for.
+    pub limits: LimitsConfig,
+    /// Speaks HTTPS and wss; without it HTTP and ws.
+    pub tls: Option<TlsConfig>,
     /// What to log, as `tracing` filters are written: `info`, `skycell_server=debug`.
     pub log: String,
     /// How it is written.
@@ -345,6 +361,11 @@ impl Config {
         "viewer_stall_s",
         "drain_s",
         "allowed_origins",
+        "allowed_hosts",
+        "tokens_file",
+        "tokens",
+        "limits",
+        "tls",
         "log",
         "log_format",
         "otlp_endpoint",
@@ -364,6 +385,11 @@ impl Config {
             viewer_stall_s: 30.0,
             drain_s: 5.0,
             allowed_origins: Vec::new(),
+            allowed_hosts: Vec::new(),
+            tokens_file: None,
+            tokens: ConfiguredTokens::default(),
+            limits: LimitsConfig::default(),
+            tls: None,
             log: "info".to_owned(),
             log_format: LogFormat::Text,
             otlp_endpoint: None,
@@ -407,6 +433,19 @@ impl Config {
             )?,
             drain_s: number(&members, "drain_s", DRAIN_S, default.drain_s)?,
             allowed_origins: members.member_or("allowed_origins", default.allowed_origins)?,
+            allowed_hosts: members.member_or("allowed_hosts", default.allowed_hosts)?,
+            tokens_file: members
+                .optional::<String>("tokens_file")?
+                .map(PathBuf::from),
+            tokens: ConfiguredTokens(members.member_or("tokens", default.tokens.0)?),
+            limits: match members.optional::<Value>("limits")? {
+                Some(limits) => LimitsConfig::read(&limits)?,
+                None => default.limits,
+            },
+            tls: match members.optional::<Value>("tls")? {
+                Some(tls) => Some(TlsConfig::read(&tls)?),
+                None => default.tls,
+            },
             log: members.member_or("log", default.log)?,
             log_format: members.member_or("log_format", default.log_format)?,
             otlp_endpoint: read_endpoint(&members)?.or(default.otlp_endpoint),

@@ -157,6 +157,32 @@ fn a_bad_value_is_told_with_its_source_and_what_is_allowed() {
             vec![],
             ["file ", "/cells/1/name"],
         ),
+        (
+            "[limits]\nmegapixels_max = 0",
+            vec![],
+            ["file ", "/limits/megapixels_max is 0; allowed: 1 to 16384"],
+        ),
+        (
+            "",
+            vec![("SKYCELL_LIMITS_FAILED_TOKENS_PER_MIN", "1001")],
+            [
+                "environment",
+                "/limits/failed_tokens_per_min is 1001; allowed: 1 to 1000",
+            ],
+        ),
+        (
+            "[tls]\ncertificate = 'cert.pem'",
+            vec![],
+            ["file ", "/tls/key is missing; allowed: a PEM file"],
+        ),
+        (
+            "[limits]\nrequests_per_second = 5",
+            vec![],
+            [
+                "/limits/requests_per_second",
+                "did you mean \"requests_per_s\"",
+            ],
+        ),
         ("a = ", vec![], ["is not TOML", "line 1"]),
     ] {
         let message = resolve(text, &environment).expect_err("bad").to_string();
@@ -274,5 +300,30 @@ fn a_collectors_address_has_no_secrets() {
             .to_string();
         assert!(message.contains("http://HOST:PORT"), "{message}");
         assert!(!message.contains("secret"), "{message}");
+    }
+}
+
+#[test]
+fn tokens_come_from_the_file_and_the_environment_and_are_never_repeated() {
+    let line = |role: &str, name: &str| format!("{role} {name} sha256:{}", "ab".repeat(32));
+    let text = format!("tokens = ['{}']", line("view", "guests"));
+    let config = resolve(&text, &[]).expect("a token");
+    assert_eq!(config.tokens.0.len(), 1);
+    let both = format!("{},{}", line("view", "a"), line("admin", "b"));
+    let config = resolve("", &[("SKYCELL_TOKENS", &both)]).expect("tokens");
+    assert_eq!(config.tokens.0[1].role, crate::access::Role::Admin);
+    let written = serde_json::to_string(&config).expect("JSON");
+    assert!(
+        written.contains("admin b") && !written.contains("abab"),
+        "{written}"
+    );
+    for (text, environment) in [
+        ("tokens = ['sky_secret']", vec![]),
+        ("tokens = [['sky_secret']]", vec![]),
+        ("", vec![("SKYCELL_TOKENS", "view a sky_secret")]),
+    ] {
+        let message = resolve(text, &environment).expect_err("none").to_string();
+        assert!(message.contains("/tokens/0"), "{message}");
+        assert!(!message.contains("sky_secret"), "{message}");
     }
 }

@@ -1,6 +1,7 @@
 //! Connections: accepted up to a limit, set up for frames that must not wait in buffers, ended in
 //! good order.
 
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,16 +13,31 @@ use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio_rustls::server::TlsStream;
+use tokio_util::either::Either;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
+
+use super::tls::Tls;
+use crate::access::{Gate, Peer, PeerPermit, Peers, Refusal};
+use crate::config::Config;
 
 /// How many connections may speak HTTP at once. One that has become a WebSocket counts there.
 const CONNECTIONS_MAX: usize = 512;
 
 /// How long a client may take to send a request's head, idle time between requests included.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// How long a client may take to begin TLS.
+const TLS_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// How many headers a request may have. Browsers send twenty, proxies add some.
+const HEADERS_MAX: usize = 64;
+
+/// How long a request's head may be; also what is read of a body at once.
+const HEAD_MAX_BYTES: usize = 32 * 1024;
 
 /// After a failed accept (no file descriptors left, mostly) the next try waits.
 const ACCEPT_RETRY_INTERVAL: Duration = Duration::from_millis(200);
@@ -32,19 +48,50 @@ const ACCEPT_RETRY_INTERVAL: Duration = Duration::from_millis(200);
 #[cfg(any(target_os = "linux", target_os = "android", target_vendor = "apple"))]
 const NOT_SENT_MAX_BYTES: u32 = 16 * 1024;
 
+/// What connections are held to.
+#[derive(Clone)]
+pub struct ConnectionSettings {
+    /// Speaks TLS; without it plain HTTP.
+    pub tls: Option<Arc<Tls>>,
+    /// Connections that one peer may have. Requests on more are refused.
+    pub per_peer_max: u32,
+    /// Hears of what is refused before there is a request.
+    pub gate: Option<Arc<Gate>>,
+}
+
+impl ConnectionSettings {
+    pub(super) fn new(config: &Config, tls: Option<Arc<Tls>>, gate: Arc<Gate>) -> Self {
+        let is_loopback = config.listen.ip().to_canonical().is_loopback();
+        Self {
+            tls,
+            per_peer_max: config.limits.resolved(is_loopback).connections_per_peer_max,
+            gate: Some(gate),
+        }
+    }
+
+    fn count(&self, refusal: Refusal) {
+        if let Some(gate) = &self.gate {
+            gate.count(refusal);
+        }
+    }
+}
+
 /// Serves until `shutdown`, then until the requests that run have ended.
-pub(super) async fn serve(listener: TcpListener, router: Router, shutdown: CancellationToken) {
+pub async fn serve(
+    listener: TcpListener,
+    router: Router,
+    settings: ConnectionSettings,
+    shutdown: CancellationToken,
+) {
     let connections = Arc::new(Semaphore::new(CONNECTIONS_MAX));
+    let peers = Arc::new(Peers::default());
     let running = TaskTracker::new();
-    let mut http = http1::Builder::new();
-    http.timer(TokioTimer::new())
-        .header_read_timeout(HEAD_TIMEOUT);
     loop {
         let accepted = tokio::select! {
             accepted = accept(&listener, &connections) => accepted,
             () = shutdown.cancelled() => break,
         };
-        let (stream, permit) = match accepted {
+        let (stream, address, permit) = match accepted {
             Ok(accepted) => accepted,
             Err(error) => {
                 tracing::warn!(%error, "accepting a connection failed");
@@ -53,43 +100,97 @@ pub(super) async fn serve(listener: TcpListener, router: Router, shutdown: Cance
             }
         };
         set_up(&stream);
-        let service = router
-            .clone()
-            .map_request(|request: Request<Incoming>| request.map(Body::new));
-        let connection = http
-            .serve_connection(TokioIo::new(stream), TowerToHyperService::new(service))
-            .with_upgrades();
-        let shutdown = shutdown.clone();
-        running.spawn(async move {
-            let mut connection = std::pin::pin!(connection);
-            let result = tokio::select! {
-                result = connection.as_mut() => result,
-                () = shutdown.cancelled() => {
-                    connection.as_mut().graceful_shutdown();
-                    connection.await
-                }
-            };
-            if let Err(error) = result {
-                tracing::debug!(%error, "a connection failed");
-            }
-            drop(permit);
-        });
+        let mut peer = Peer::at(address);
+        let of_peer = peers.try_add(peer.key, settings.per_peer_max);
+        peer.has_too_many_connections = of_peer.is_none();
+        let connection = Connection {
+            router: router.clone(),
+            settings: settings.clone(),
+            peer,
+            shutdown: shutdown.clone(),
+            _permits: (permit, of_peer),
+        };
+        running.spawn(connection.run(stream));
     }
     drop(listener);
     running.close();
     running.wait().await;
 }
 
+/// A connection that was accepted.
+struct Connection {
+    router: Router,
+    settings: ConnectionSettings,
+    peer: Peer,
+    shutdown: CancellationToken,
+    _permits: (OwnedSemaphorePermit, Option<PeerPermit>),
+}
+
+impl Connection {
+    async fn run(self, stream: TcpStream) {
+        let Some(tls) = &self.settings.tls else {
+            return self.speak(Either::Left(stream)).await;
+        };
+        let handshake = tokio::time::timeout(TLS_TIMEOUT, tls.acceptor().accept(stream));
+        let result = tokio::select! {
+            result = handshake => result,
+            () = self.shutdown.cancelled() => return,
+        };
+        match result {
+            Ok(Ok(stream)) => self.speak(Either::Right(stream)).await,
+            Ok(Err(error)) => {
+                self.settings.count(Refusal::Tls);
+                tracing::debug!(%error, "a connection does not speak TLS");
+            }
+            Err(_) => {
+                self.settings.count(Refusal::Tls);
+                tracing::debug!("a connection does not begin TLS");
+            }
+        }
+    }
+
+    /// Speaks HTTP until the connection has ended or become a WebSocket.
+    async fn speak(self, stream: Either<TcpStream, TlsStream<TcpStream>>) {
+        let peer = self.peer;
+        let service = self.router.map_request(move |request: Request<Incoming>| {
+            let mut request = request.map(Body::new);
+            request.extensions_mut().insert(peer);
+            request
+        });
+        let connection = http1::Builder::new()
+            .timer(TokioTimer::new())
+            .header_read_timeout(HEAD_TIMEOUT)
+            .max_headers(HEADERS_MAX)
+            .max_buf_size(HEAD_MAX_BYTES)
+            .serve_connection(TokioIo::new(stream), TowerToHyperService::new(service))
+            .with_upgrades();
+        let mut connection = std::pin::pin!(connection);
+        let result = tokio::select! {
+            result = connection.as_mut() => result,
+            () = self.shutdown.cancelled() => {
+                connection.as_mut().graceful_shutdown();
+                connection.await
+            }
+        };
+        if let Err(error) = result {
+            if error.is_parse_too_large() {
+                self.settings.count(Refusal::Head);
+            }
+            tracing::debug!(%error, "a connection failed");
+        }
+    }
+}
+
 async fn accept(
     listener: &TcpListener,
     connections: &Arc<Semaphore>,
-) -> std::io::Result<(TcpStream, tokio::sync::OwnedSemaphorePermit)> {
+) -> std::io::Result<(TcpStream, SocketAddr, OwnedSemaphorePermit)> {
     let permit = Arc::clone(connections)
         .acquire_owned()
         .await
         .map_err(std::io::Error::other)?;
-    let (stream, _) = listener.accept().await?;
-    Ok((stream, permit))
+    let (stream, address) = listener.accept().await?;
+    Ok((stream, address, permit))
 }
 
 /// Both settings only make frames younger, so a system that refuses them is no error.

@@ -6,6 +6,7 @@
 //! [`Service::shutdown`] and [`crate::frame_loop::interface::RenderCommand::Shutdown`].
 
 mod http;
+mod tls;
 
 use std::io;
 use std::net::SocketAddr;
@@ -18,6 +19,7 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
+use crate::access::{self, ExposureError, Gate, TokenListError, Tokens};
 use crate::api;
 use crate::config::Config;
 use crate::encode::EncoderPool;
@@ -27,6 +29,9 @@ use crate::metrics::Metrics;
 use crate::scene::{SceneFileError, SceneSnapshot, SceneStore};
 use crate::stream::{StreamContext, connection_limit};
 use crate::viewers::ViewerRegistry;
+
+pub use http::{ConnectionSettings, serve as serve_connections};
+pub use tls::{Tls, TlsError};
 
 /// How long sessions and requests may take to end.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(5);
@@ -55,6 +60,15 @@ pub enum ServiceError {
     /// No threads for encoding.
     #[error("cannot start the encoder threads: {0}")]
     Encoders(#[from] rayon::ThreadPoolBuildError),
+    /// The tokens cannot be read.
+    #[error(transparent)]
+    Tokens(#[from] TokenListError),
+    /// It would be open to whoever reaches it.
+    #[error(transparent)]
+    Exposed(#[from] ExposureError),
+    /// The certificate or its key cannot be used.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
     /// The figures cannot be set up.
     #[error("cannot set up the metrics: {0}")]
     Metrics(#[from] metrics_exporter_prometheus::BuildError),
@@ -67,17 +81,31 @@ pub struct ServiceParts {
     viewers: Arc<ViewerRegistry>,
     metrics: Arc<Metrics>,
     encoders: Arc<EncoderPool>,
+    tokens: Arc<Tokens>,
+    tls: Option<Arc<Tls>>,
 }
 
 impl ServiceParts {
-    /// Opens the scene and starts the encoders.
+    /// Reads tokens and certificate, opens the scene and starts the encoders.
     ///
     /// # Errors
-    /// If the scene's file is corrupt or the folder cannot be written, above all.
+    /// If whoever reaches the server could change the sky, the scene's file is corrupt or the folder cannot be written,
+    /// above all.
     pub fn prepare(config: Config) -> Result<Self, ServiceError> {
+        let tokens = Tokens::open(config.tokens_file.clone(), config.tokens.0.clone())?;
+        access::check_exposure(config.listen, &tokens)?;
+        let tls = config.tls.as_ref().map(Tls::open).transpose()?;
+        if tls.is_none() && !config.listen.ip().to_canonical().is_loopback() {
+            tracing::warn!(
+                "tokens and pictures travel in the clear: set tls.certificate and tls.key, or put a proxy with TLS in front"
+            );
+        }
         let field = FieldStore::new(Some(config.render.noise_cache_dir.clone()));
         let scene = Arc::new(SceneStore::open_with(config.state_dir.clone(), field)?);
-        let viewers = ViewerRegistry::new(config.viewers_max);
+        let viewers = ViewerRegistry::with_pixels(
+            config.viewers_max,
+            config.limits.resolved(false).pixels_max,
+        );
         let metrics = Arc::new(Metrics::new()?);
         let encoders = EncoderPool::new(
             config.encoder_threads,
@@ -90,6 +118,8 @@ impl ServiceParts {
             viewers,
             metrics,
             encoders,
+            tokens: Arc::new(tokens),
+            tls: tls.map(Arc::new),
         })
     }
 
@@ -123,12 +153,20 @@ impl ServiceParts {
         let address = listener.local_addr().map_err(listen_error)?;
         let shutdown = CancellationToken::new();
         let draining = CancellationToken::new();
+        let gate = Gate::new(
+            &self.config,
+            Arc::clone(&self.tokens),
+            Arc::clone(&self.metrics),
+        );
+        let connections =
+            ConnectionSettings::new(&self.config, self.tls.clone(), Arc::clone(&gate));
         let context = Arc::new(StreamContext {
             viewers: self.viewers,
             frame_loop: frame_loop.clone(),
             scene: Arc::clone(&self.scene),
             metrics: Arc::clone(&self.metrics),
             stall: Duration::from_secs_f64(self.config.viewer_stall_s),
+            gate,
             allowed_origins: self.config.allowed_origins,
             draining: draining.clone(),
             shutdown: shutdown.clone(),
@@ -136,18 +174,22 @@ impl ServiceParts {
             connections: connection_limit(self.config.viewers_max),
         });
         let sessions = context.sessions.clone();
+        let is_tls = self.tls.is_some();
         let background = [
             tokio::spawn(forward_scenes(self.scene, frame_loop)),
             tokio::spawn(fold_metrics(self.metrics)),
+            tokio::spawn(read_again_on_hangup(self.tokens, self.tls)),
         ];
         let server = tokio::spawn(http::serve(
             listener,
             api::router(context),
+            connections,
             shutdown.clone(),
         ));
         Ok(Service {
             address,
             draining,
+            is_tls,
             shutdown,
             sessions,
             server,
@@ -160,10 +202,11 @@ impl ServiceParts {
 pub struct Service {
     address: SocketAddr,
     draining: CancellationToken,
+    is_tls: bool,
     shutdown: CancellationToken,
     sessions: TaskTracker,
     server: JoinHandle<()>,
-    background: [JoinHandle<()>; 2],
+    background: [JoinHandle<()>; 3],
 }
 
 impl Service {
@@ -176,6 +219,12 @@ impl Service {
     /// Everything else goes on.
     pub fn drain(&self) {
         self.draining.cancel();
+    }
+
+    /// Where a browser finds it.
+    pub fn url(&self) -> String {
+        let scheme = if self.is_tls { "https" } else { "http" };
+        format!("{scheme}://{}", self.address)
     }
 
     /// Takes no more connections, closes the sessions (code 1012, service restart) and waits for
@@ -228,4 +277,29 @@ async fn fold_metrics(metrics: Arc<Metrics>) {
         ticks.tick().await;
         metrics.fold();
     }
+}
+
+/// Reads tokens and certificate again at SIGHUP. What cannot be read stays as it was.
+async fn read_again_on_hangup(tokens: Arc<Tokens>, tls: Option<Arc<Tls>>) {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        let Ok(mut hangups) = signal(SignalKind::hangup()) else {
+            return;
+        };
+        while hangups.recv().await.is_some() {
+            match tokens.read_again() {
+                Ok(count) => tracing::info!(count, "tokens were read again"),
+                Err(error) => tracing::error!(%error, "the tokens stay as they were"),
+            }
+            if let Some(tls) = &tls {
+                match tls.read_again() {
+                    Ok(()) => tracing::info!("the certificate was read again"),
+                    Err(error) => tracing::error!(%error, "the certificate stays as it was"),
+                }
+            }
+        }
+    }
+    #[cfg(not(unix))]
+    drop((tokens, tls));
 }

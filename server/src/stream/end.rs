@@ -8,6 +8,12 @@ use tokio_tungstenite::tungstenite;
 
 /// When clients come back to a server that starts anew, or to another one. Tuned: 64 viewers are one every 40 ms.
 const COME_BACK_S: [f64; 2] = [0.5, 3.0];
+/// Codes of close frames that are this protocol's own, after the status of HTTP that they correspond to (RFC 6455,
+/// section 7.4.2, leaves 4000 to 4999 to applications).
+mod close_code_of {
+    pub(super) const UNAUTHORIZED: u16 = 4401;
+    pub(super) const RATE_LIMITED: u16 = 4429;
+}
 
 /// Why a session ends, and what the client is told.
 #[derive(Debug)]
@@ -77,6 +83,36 @@ impl End {
         )
     }
 
+    /// No token, or one that is not known.
+    pub(super) fn unauthorized(why: &str) -> Self {
+        Self::with_error(
+            ErrorCode::Unauthorized,
+            format!("{why}; send it as token in the hello"),
+            close_code_of::UNAUTHORIZED,
+            "unauthorized",
+        )
+    }
+
+    /// Too many wrong tokens came from the peer.
+    pub(super) fn blocked(seconds: u64) -> Self {
+        Self::with_error(
+            ErrorCode::RateLimited,
+            format!("too many wrong tokens; try again in {seconds} s"),
+            close_code_of::RATE_LIMITED,
+            "too many wrong tokens",
+        )
+    }
+
+    /// The frames of all viewers have as many pixels as may be.
+    pub(super) fn too_many_pixels(message: String) -> Self {
+        Self::with_error(
+            ErrorCode::TooManyPixels,
+            message,
+            close_code::AGAIN,
+            "too many pixels",
+        )
+    }
+
     /// As many viewers are connected as may be.
     pub(super) fn too_many_viewers(message: String) -> Self {
         Self::with_error(
@@ -115,6 +151,14 @@ impl End {
             code: close_code::RESTART,
             reason: format!("the server shuts down; retry_after_s={after_s:.2}").into(),
         }
+    }
+
+    /// The same end without a message before the close frame, for who speaks another protocol.
+    pub(super) fn without_message(mut self) -> Self {
+        if let Self::Close { error, .. } = &mut self {
+            *error = None;
+        }
+        self
     }
 
     /// What a socket's error means.

@@ -13,9 +13,10 @@ use tokio::time::Instant;
 use super::StreamContext;
 use super::end::End;
 use super::pace::{Due, InputPace};
+use crate::access::Refusal;
 use crate::clock::unix_now_us;
 use crate::encode::check_codec;
-use crate::frame_loop::interface::{FrameLoopGone, RenderCommand};
+use crate::frame_loop::interface::{FrameLoopGone, RenderCommand, ViewRequest};
 use crate::viewers::Viewer;
 
 /// Reads what the viewer says until the session ends.
@@ -112,6 +113,21 @@ impl Inbound<'_> {
             Ok(after) => after,
             Err(error) => return self.answer(MessageError::from(error).to_message()),
         };
+        let pixels = ViewRequest {
+            size,
+            stereo,
+            ..before
+        }
+        .picture_size()
+        .pixels();
+        if let Err(error) = self.viewer.pixels().resize(u64::from(pixels)) {
+            self.context.gate.count(Refusal::Pixels);
+            return self.answer(ErrorMessage {
+                code: ErrorCode::TooManyPixels,
+                message: error.to_string(),
+                pointer: Some("/width".to_owned()),
+            });
+        }
         self.viewer.change_view(|view| {
             view.size = size;
             view.stereo = stereo;

@@ -3,6 +3,7 @@
 //! A session is one task. What it holds for its viewer is bounded: one encoded frame in the slot,
 //! one in the socket's write buffer, a few answers, and inbound messages of at most 64 KiB.
 
+mod echo;
 mod end;
 mod hello;
 mod inbound;
@@ -10,19 +11,22 @@ mod outbound;
 mod pace;
 mod session;
 
+pub use echo::echo;
+
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::State;
 use axum::extract::ws::{WebSocketUpgrade, rejection::WebSocketUpgradeRejection};
-use axum::http::header::{HOST, HeaderValue, ORIGIN, RETRY_AFTER};
-use axum::http::{HeaderMap, StatusCode};
+use axum::extract::{Extension, State};
+use axum::http::StatusCode;
+use axum::http::header::{HeaderValue, RETRY_AFTER};
 use axum::response::Response;
 use skycell_protocol::{INBOUND_MESSAGE_MAX_BYTES, SUBPROTOCOL};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
+use crate::access::{Gate, Peer};
 use crate::api::Problem;
 use crate::frame_loop::interface::FrameLoopHandle;
 use crate::metrics::Metrics;
@@ -51,7 +55,9 @@ pub struct StreamContext {
     pub metrics: Arc<Metrics>,
     /// A viewer that takes or says nothing for this long is dropped.
     pub stall: Duration,
-    /// Origins of other sites whose pages may connect.
+    /// Who may what.
+    pub gate: Arc<Gate>,
+    /// Origins of other sites whose pages may read answers.
     pub allowed_origins: Vec<String>,
     /// No viewer is taken any more when it is cancelled; those who are there stay.
     pub draining: CancellationToken,
@@ -68,10 +74,24 @@ pub fn connection_limit(viewers_max: u32) -> Arc<Semaphore> {
     Arc::new(Semaphore::new(viewers_max as usize + GREETING_MAX))
 }
 
+/// Inbound messages as this server takes them, and how it writes.
+pub fn limit_messages<F: axum::extract::ws::OnFailedUpgrade>(
+    upgrade: WebSocketUpgrade<F>,
+    inbound_max_bytes: usize,
+) -> WebSocketUpgrade<F> {
+    upgrade
+        .read_buffer_size(READ_BUFFER_BYTES)
+        // Every message is flushed at once: frames wait in the slot, where newer ones replace them.
+        .write_buffer_size(0)
+        .max_write_buffer_size(WRITE_BUFFER_MAX_BYTES)
+        .max_message_size(inbound_max_bytes)
+        .max_frame_size(inbound_max_bytes)
+}
+
 /// `GET /ws`: checks who asks for what, then starts a session.
 pub(crate) async fn upgrade(
     State(context): State<Arc<StreamContext>>,
-    headers: HeaderMap,
+    Extension(peer): Extension<Peer>,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, Problem> {
     let upgrade = upgrade.map_err(|rejection| {
@@ -80,7 +100,6 @@ pub(crate) async fn upgrade(
             format!("/ws is a WebSocket: {}", rejection.body_text()),
         )
     })?;
-    check_origin(&headers, &context.allowed_origins)?;
     let upgrade = upgrade.protocols([SUBPROTOCOL]);
     if upgrade.selected_protocol().is_none() {
         let asked: Vec<_> = upgrade
@@ -110,74 +129,12 @@ pub(crate) async fn upgrade(
         .map_err(|_| busy("too many connections; try again later"))?;
     // From here on a shutdown waits for the session.
     let running = context.sessions.token();
-    Ok(upgrade
-        .read_buffer_size(READ_BUFFER_BYTES)
-        // Every message is flushed at once: frames wait in the slot, where newer ones replace them.
-        .write_buffer_size(0)
-        .max_write_buffer_size(WRITE_BUFFER_MAX_BYTES)
-        .max_message_size(INBOUND_MESSAGE_MAX_BYTES)
-        .max_frame_size(INBOUND_MESSAGE_MAX_BYTES)
-        .on_upgrade(move |socket| async move {
-            session::run(socket, context).await;
+    let greeting = context.gate.greet(peer.key)?;
+    Ok(
+        limit_messages(upgrade, INBOUND_MESSAGE_MAX_BYTES).on_upgrade(move |socket| async move {
+            session::run(socket, context, peer.key, greeting).await;
             drop(permit);
             drop(running);
-        }))
-}
-
-/// Refuses pages of other sites: a browser sends their origin with the cookies and the network
-/// position of whoever looks at them. What is no browser sends no origin.
-fn check_origin(headers: &HeaderMap, allowed: &[String]) -> Result<(), Problem> {
-    let Some(origin) = headers.get(ORIGIN) else {
-        return Ok(());
-    };
-    let origin = origin.to_str().unwrap_or_default();
-    let host = headers
-        .get(HOST)
-        .and_then(|host| host.to_str().ok())
-        .unwrap_or_default();
-    let is_own = origin
-        .split_once("://")
-        .is_some_and(|(_, authority)| !host.is_empty() && authority.eq_ignore_ascii_case(host));
-    if is_own || allowed.iter().any(|other| other == origin) {
-        Ok(())
-    } else {
-        Err(Problem::new(
-            StatusCode::FORBIDDEN,
-            format!(
-                "pages of {origin} may not connect; allowed_origins in the configuration lists those that may"
-            ),
-        ))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn headers(origin: Option<&'static str>) -> HeaderMap {
-        let mut headers = HeaderMap::new();
-        headers.insert(HOST, "sky.example:8080".parse().expect("a header"));
-        if let Some(origin) = origin {
-            headers.insert(ORIGIN, origin.parse().expect("a header"));
-        }
-        headers
-    }
-
-    #[test]
-    fn pages_of_this_server_and_of_listed_origins_may_connect_and_others_may_not() {
-        let allowed = ["https://world.example".to_owned()];
-        for (origin, may) in [
-            (None, true),
-            (Some("http://sky.example:8080"), true),
-            (Some("http://SKY.example:8080"), true),
-            (Some("https://world.example"), true),
-            (Some("http://world.example"), false),
-            (Some("http://sky.example"), false),
-            (Some("http://evil.example"), false),
-            (Some("null"), false),
-        ] {
-            let result = check_origin(&headers(origin), &allowed);
-            assert_eq!(result.is_ok(), may, "{origin:?}");
-        }
-    }
+        }),
+    )
 }

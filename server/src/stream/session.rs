@@ -7,7 +7,7 @@ use axum::extract::ws::{CloseFrame, Message, WebSocket};
 use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt, StreamExt};
 use skycell_protocol::frame::FRAME_HEADER_BYTES;
-use skycell_protocol::message::{Hello, ServerMessage, Welcome};
+use skycell_protocol::message::{AccessToken, Hello, ServerMessage, Welcome};
 use skycell_protocol::view::{FRAME_HEIGHT_MAX, FRAME_WIDTH_MAX, FRAMES_PER_SECOND};
 use skycell_protocol::{PROTOCOL_VERSION, ViewerId};
 use tokio::sync::mpsc;
@@ -16,8 +16,9 @@ use tracing::Instrument;
 use super::StreamContext;
 use super::end::End;
 use super::{hello, inbound, outbound};
+use crate::access::{HelloRefusal, PeerKey, PeerPermit, Refusal};
 use crate::frame_loop::interface::{FrameLoopGone, FrameLoopHandle, RenderCommand, ViewRequest};
-use crate::viewers::Viewer;
+use crate::viewers::{JoinError, Viewer};
 
 /// How many answers may wait for the writer.
 const ANSWERS_MAX: usize = 16;
@@ -29,14 +30,21 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
 const LEAVE_RETRY_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Runs a session to its end.
-pub(super) async fn run(mut socket: WebSocket, context: Arc<StreamContext>) {
+pub(super) async fn run(
+    mut socket: WebSocket,
+    context: Arc<StreamContext>,
+    peer: PeerKey,
+    greeting: PeerPermit,
+) {
     let hello = tokio::select! {
         hello = hello::receive(&mut socket) => hello,
         () = context.shutdown.cancelled() => Err(End::restart()),
     };
     let (mut sink, mut stream) = socket.split();
-    let end = match hello {
-        Ok(hello) => {
+    let admitted = hello.and_then(|hello| Ok((admit(&hello, peer, &context)?, hello)));
+    drop(greeting);
+    let end = match admitted {
+        Ok((_admitted, hello)) => {
             let span = tracing::trace_span!(
                 target: crate::traces::TARGET,
                 parent: None,
@@ -55,6 +63,23 @@ pub(super) async fn run(mut socket: WebSocket, context: Arc<StreamContext>) {
         Err(end) => end,
     };
     say_goodbye(sink, stream, end).await;
+}
+
+/// Whether who says hello may watch, and room for it among the viewers of its peer.
+fn admit(hello: &Hello, peer: PeerKey, context: &StreamContext) -> Result<PeerPermit, End> {
+    let token = hello.token.as_ref().map(AccessToken::text);
+    context
+        .gate
+        .check_hello(peer, token)
+        .map_err(|refusal| match refusal {
+            HelloRefusal::Unauthorized(why) => End::unauthorized(why),
+            HelloRefusal::Blocked(seconds) => End::blocked(seconds),
+        })?;
+    context.gate.admit(peer).map_err(|max| {
+        End::too_many_viewers(format!(
+            "{max} viewers of this address are connected, and no more are allowed"
+        ))
+    })
 }
 
 /// The session of a client that has said hello.
@@ -78,7 +103,14 @@ async fn serve(
     };
     let viewer = match context.viewers.join(view) {
         Ok(viewer) => viewer,
-        Err(error) => return End::too_many_viewers(error.to_string()),
+        Err(JoinError::Pixels(error)) => {
+            context.gate.count(Refusal::Pixels);
+            return End::too_many_pixels(error.to_string());
+        }
+        Err(error) => {
+            context.gate.count(Refusal::Viewers);
+            return End::too_many_viewers(error.to_string());
+        }
     };
     tracing::info!(
         viewer = %viewer.id(),
@@ -129,7 +161,7 @@ fn welcome(viewer: &Viewer, context: &StreamContext) -> Welcome {
 
 /// Tells the client why, closes, and gives it a moment to hear it: what is closed while the
 /// client's data is unread is torn down before the client can read the reason.
-async fn say_goodbye(
+pub(super) async fn say_goodbye(
     mut sink: SplitSink<WebSocket, Message>,
     mut stream: SplitStream<WebSocket>,
     end: End,

@@ -8,6 +8,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use skycell_protocol::ViewerId;
 use thiserror::Error;
 
+use super::pixels::{PixelBudget, TooManyPixels};
 use super::viewer::Viewer;
 use crate::frame_loop::interface::ViewRequest;
 
@@ -19,9 +20,22 @@ pub struct TooManyViewers {
     pub viewers_max: u32,
 }
 
+/// Why nobody more may join.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum JoinError {
+    /// As many viewers as may be.
+    #[error(transparent)]
+    Viewers(#[from] TooManyViewers),
+    /// As many pixels as may be.
+    #[error(transparent)]
+    Pixels(#[from] TooManyPixels),
+}
+
 /// The viewers that are connected, at most `viewers_max`.
 pub struct ViewerRegistry {
     viewers_max: u32,
+    pixels: Arc<PixelBudget>,
     next_id: AtomicU32,
     viewers: RwLock<BTreeMap<ViewerId, Arc<Viewer>>>,
 }
@@ -29,8 +43,14 @@ pub struct ViewerRegistry {
 impl ViewerRegistry {
     /// An empty registry for at most `viewers_max`.
     pub fn new(viewers_max: u32) -> Arc<Self> {
+        Self::with_pixels(viewers_max, u64::MAX)
+    }
+
+    /// The same for frames of at most `pixels_max` pixels together.
+    pub fn with_pixels(viewers_max: u32, pixels_max: u64) -> Arc<Self> {
         Arc::new(Self {
             viewers_max,
+            pixels: PixelBudget::new(pixels_max),
             next_id: AtomicU32::new(1),
             viewers: RwLock::default(),
         })
@@ -39,14 +59,15 @@ impl ViewerRegistry {
     /// Adds a viewer, for as long as the membership lives.
     ///
     /// # Errors
-    /// If as many are connected as may be.
-    pub fn join(self: &Arc<Self>, view: ViewRequest) -> Result<ViewerMembership, TooManyViewers> {
+    /// If as many are connected as may be, or their frames have as many pixels as may be.
+    pub fn join(self: &Arc<Self>, view: ViewRequest) -> Result<ViewerMembership, JoinError> {
         let mut viewers = self.viewers.write().unwrap_or_else(PoisonError::into_inner);
         if viewers.len() >= self.viewers_max as usize {
-            return Err(TooManyViewers {
+            return Err(JoinError::Viewers(TooManyViewers {
                 viewers_max: self.viewers_max,
-            });
+            }));
         }
+        let pixels = self.pixels.share(u64::from(view.picture_size().pixels()))?;
         // Wraps after 4 thousand million connections; those that are still there are skipped.
         let id = loop {
             let id = ViewerId(self.next_id.fetch_add(1, Ordering::Relaxed));
@@ -54,7 +75,7 @@ impl ViewerRegistry {
                 break id;
             }
         };
-        let viewer = Arc::new(Viewer::new(id, view));
+        let viewer = Arc::new(Viewer::new(id, view, pixels));
         viewers.insert(id, Arc::clone(&viewer));
         Ok(ViewerMembership {
             registry: Arc::clone(self),
@@ -144,7 +165,7 @@ mod tests {
         assert!(first.id() != second.id());
         assert_eq!(
             registry.join(view()).err(),
-            Some(TooManyViewers { viewers_max: 2 })
+            Some(JoinError::Viewers(TooManyViewers { viewers_max: 2 }))
         );
         let gone = first.id();
         drop(first);

@@ -9,6 +9,7 @@ use skycell_protocol::{FrameHeader, ViewerId};
 use tokio::sync::Notify;
 
 use super::figures::ViewerFigures;
+use super::pixels::PixelShare;
 use super::slot::LatestSlot;
 use crate::clock::saturating_us;
 use crate::frame_loop::interface::{FinishedFrame, ViewRequest};
@@ -61,10 +62,11 @@ pub struct Viewer {
     figures: Mutex<ViewerFigures>,
     outbox: LatestSlot<EncodedFrame>,
     failed: Notify,
+    pixels: PixelShare,
 }
 
 impl Viewer {
-    pub(super) fn new(id: ViewerId, view: ViewRequest) -> Self {
+    pub(super) fn new(id: ViewerId, view: ViewRequest, pixels: PixelShare) -> Self {
         Self {
             id,
             connected: Instant::now(),
@@ -73,6 +75,7 @@ impl Viewer {
             figures: Mutex::default(),
             outbox: LatestSlot::default(),
             failed: Notify::new(),
+            pixels,
         }
     }
 
@@ -96,6 +99,11 @@ impl Viewer {
         let mut view = lock(&self.view);
         change(&mut view);
         *view
+    }
+
+    /// Its share of the pixels of all frames.
+    pub fn pixels(&self) -> &PixelShare {
+        &self.pixels
     }
 
     /// What it was sent.

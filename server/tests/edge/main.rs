@@ -1,9 +1,12 @@
 //! The service edge over real HTTP and real WebSockets, with a stand-in for the renderer.
 
+mod apart;
 mod client;
 mod durability;
+mod conformance;
 mod figures;
 mod lifecycle;
+mod limits;
 mod maps;
 mod revisions;
 mod scene;
@@ -11,4 +14,6 @@ mod sky_time;
 mod stand_in;
 mod stream;
 mod stream_refusals;
+mod tls;
+mod tokens;
 mod world;

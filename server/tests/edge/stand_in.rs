@@ -198,6 +198,9 @@ impl State {
                 state.view.picture_size().pixels() as usize * 4,
                 state.composited,
             );
+            // Whose frame it is, for those who look.
+            rgba[..4].copy_from_slice(&id.0.to_le_bytes());
+            rgba[3] = u8::MAX;
             if self.behaviour.breaks_frames {
                 rgba.pop();
             }
@@ -257,6 +260,12 @@ impl State {
             ..RenderStats::default()
         }
     }
+}
+
+/// Whose frame a picture is, by its first pixel: the lower 24 bits of the viewer's number.
+pub(crate) fn viewer_of_picture(picture: &image::RgbImage) -> u32 {
+    let [low, middle, high] = picture.get_pixel(0, 0).0;
+    u32::from_le_bytes([low, middle, high, 0])
 }
 
 /// Pixels that no codec makes small, another for every seed.

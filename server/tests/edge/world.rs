@@ -20,6 +20,8 @@ pub(crate) struct World {
 
 /// Starts a service whose configuration `change` has changed.
 pub(crate) async fn start_with(behaviour: Behaviour, change: impl FnOnce(&mut Config)) -> World {
+    // Any client that may speak TLS asks for it; the second one of a process is told that there is one.
+    let _ = rustls::crypto::ring::default_provider().install_default();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let (service, renderer) = start_in(folder.path(), behaviour, change).await;
     World {

@@ -1,0 +1,35 @@
+import assert from "node:assert/strict";
+import test from "node:test";
+import { isOwnApi, parseEvent, withToken } from "../token.js";
+
+test("the token goes to the own server's interface and nowhere else", () => {
+  const base = "https://sky.test/north/?yaw=3";
+  for (const [target, is_own] of [
+    ["api/v1/scene", true],
+    ["https://sky.test/north/api/v1/scene", true],
+    ["https://sky.test/api/v1/scene", false],
+    ["https://evil.test/north/api/v1/scene", false],
+    ["http://sky.test/north/api/v1/scene", false],
+    ["https://sky.test.evil.test/north/api/", false],
+    ["//evil.test/north/api/v1", false],
+    ["main.js", false],
+    ["api/../../x", false],
+  ]) {
+    assert.equal(isOwnApi(target, base), is_own, target);
+  }
+  assert.equal(isOwnApi(new URL("https://sky.test/north/api/v1"), base), true);
+});
+
+test("a request keeps its own headers beside the token", () => {
+  const init = withToken({ method: "PUT", headers: { "If-Match": "*" } }, "sky_x");
+  assert.equal(init.method, "PUT");
+  assert.equal(init.headers.get("authorization"), "Bearer sky_x");
+  assert.equal(init.headers.get("if-match"), "*");
+  assert.equal(withToken(undefined, "a").headers.get("authorization"), "Bearer a");
+});
+
+test("an event's name and its lines of data are read, comments are not", () => {
+  assert.deepEqual(parseEvent('event: scene\ndata: {"a":1}'), { name: "scene", data: '{"a":1}' });
+  assert.deepEqual(parseEvent("data:a\r\ndata: b\r\n: comment"), { name: "message", data: "a\nb" });
+  assert.deepEqual(parseEvent(": keep-alive"), { name: "message", data: "" });
+});
