@@ -182,25 +182,26 @@ impl Config {
         set_from_flags(&mut by_flags, flags)?;
         let by_flags = Value::Object(by_flags);
         let mut found = Vec::new();
-        for pointer in leaves(&config) {
-            let key = pointer.trim_start_matches('/').to_owned();
-            let variable = variable_of(&key);
-            // Keys of `proxies` stand in `[render]` itself.
-            let in_file = pointer.replace("/proxies/", "/");
+        for key in KEYS.iter().map(|(key, _)| *key).chain(["cells"]) {
+            let pointer = format!("/{key}");
+            let variable = variable_of(key);
             let from = if by_flags.pointer(&pointer).is_some() {
                 "the command line".to_owned()
             } else if variables.iter().any(|(name, _)| *name == variable) {
                 variable
             } else if let (Some(path), Some(_)) = (
                 &file,
-                written.as_ref().and_then(|tree| tree.pointer(&in_file)),
+                written.as_ref().and_then(|tree| tree.pointer(&pointer)),
             ) {
                 path.display().to_string()
             } else {
                 "default".to_owned()
             };
             found.push(Origin {
-                value: config.pointer(&pointer).cloned().unwrap_or_default(),
+                value: config
+                    .pointer(&resolved_pointer(key))
+                    .cloned()
+                    .unwrap_or_default(),
                 key: key.replace('/', "."),
                 from,
             });
@@ -230,18 +231,17 @@ impl Config {
     }
 }
 
-/// JSON pointers of a configuration's values: of sections those of their keys.
-fn leaves(config: &Value) -> Vec<String> {
-    let mut found = Vec::new();
-    for (key, value) in config.as_object().into_iter().flatten() {
-        match value {
-            Value::Object(section) if key == "render" => {
-                found.extend(section.keys().map(|inner| format!("/{key}/{inner}")));
-            }
-            _ => found.push(format!("/{key}")),
-        }
-    }
-    found
+/// Where the value of a key stands in the resolved configuration.
+fn resolved_pointer(key: &str) -> String {
+    let of_proxies = match key {
+        "render/proxies" => "setup",
+        "render/slabs" => "slabs",
+        "render/bands" => "bands",
+        "render/band_ends" => "band_ends",
+        "render/dome_follow_m" => "follow_m",
+        _ => return format!("/{key}"),
+    };
+    format!("/render/proxies/{of_proxies}")
 }
 
 fn check(tree: &Map<String, Value>, origin: impl Fn() -> String) -> Result<Config, ConfigError> {

@@ -258,7 +258,7 @@ fn budgets_come_from_both_sources_and_are_refused_out_of_range() {
 
 #[test]
 fn each_value_is_told_with_where_it_comes_from() {
-    let file = file("viewers_max = 2\nlog = 'debug'\n[render]\nsamples = 4\n");
+    let file = file("viewers_max = 2\nlog = 'debug'\n[render]\nsamples = 4\nslabs = 2\n");
     let flags = Flags {
         listen: Some(SocketAddr::from(([127, 0, 0, 1], 3))),
         file: Some(file.path().to_owned()),
@@ -277,6 +277,9 @@ fn each_value_is_told_with_where_it_comes_from() {
         ("drain_s", serde_json::json!(7.0), "SKYCELL_DRAIN_S"),
         ("viewers_max", serde_json::json!(2), &path),
         ("render.samples", serde_json::json!(4), &path),
+        ("render.slabs", serde_json::json!(2), &path),
+        ("render.bands", serde_json::json!(3), "default"),
+        ("cells", serde_json::json!([]), "default"),
         ("viewer_stall_s", serde_json::json!(30.0), "default"),
         ("render.march_steps", Value::Null, "default"),
     ] {
