@@ -5,7 +5,7 @@ import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
 import { serve } from "../dev/serve.js";
-import { converged, meanDifference, openPage, pixelsOf, screenshot, showsFrames, startBrowser, startServer, whyNot } from "./support.js";
+import { converged, meanDifference, openPage, pixelsOf, screenshot, showsFrames, startBrowser, startServer, until, whyNot } from "./support.js";
 
 const skip = whyNot();
 /** @type {Awaited<ReturnType<typeof startServer>>} */
@@ -62,7 +62,7 @@ test("pointer, wheel and keys turn and zoom, and frames follow", { skip }, async
   const zoomed = await state(page);
   assert.ok(zoomed.camera.yaw_deg > dragged.camera.yaw_deg);
   assert.ok(zoomed.camera.vertical_fov_deg < 45, `${zoomed.camera.vertical_fov_deg}`);
-  await page.waitForFunction((input) => /** @type {any} */ (window).skycell.status.header.input > input, dragged.status.header.input);
+  await until(page, (input) => /** @type {any} */ (window).skycell.status.header.input > input, dragged.status.header.input);
   await page.keyboard.press("Home");
   assert.equal((await state(page)).camera.yaw_deg, first.camera.yaw_deg);
   assert.deepEqual(errors, []);
@@ -113,7 +113,7 @@ test("on a slow line a drag turns the picture before any frame arrives, to nearl
   assert.equal(between.counts.drawn, before.counts.drawn, "no frame has come");
   assert.ok(between.counts.turned > before.counts.turned);
   assert.ok(between.motion_ms !== null && between.motion_ms < 200, `motion to picture: ${between.motion_ms} ms`);
-  await page.waitForFunction(
+  await until(page, 
     ({ input }) => {
       const { status } = /** @type {any} */ (window).skycell;
       return status.header.input > input && !status.header.coarse;
@@ -136,21 +136,21 @@ test("on a slow line a drag turns the picture before any frame arrives, to nearl
 test("turning at once can be switched off, and two eyes are never turned", { skip }, async () => {
   const { page, context } = await openPage(browser, `${server.url}${LOOK}&predict=off`);
   await showsFrames(page);
-  await page.waitForFunction("window.skycell.status.header.width === 320");
+  await until(page, "window.skycell.status.header.width === 320");
   await page.locator("#side-button").click();
   await page.locator("#tab-view").click();
   await page.locator("#predict").check();
-  await page.waitForFunction("window.skycell.status.header.width === 368");
+  await until(page, "window.skycell.status.header.width === 368");
   await page.locator("#stereo").check();
-  await page.waitForFunction("window.skycell.status.header.stereo && window.skycell.status.header.width === 640");
-  await page.waitForFunction("document.getElementById('picture').width === 640");
+  await until(page, "window.skycell.status.header.stereo && window.skycell.status.header.width === 640");
+  await until(page, "document.getElementById('picture').width === 640");
   await context.close();
 });
 
 test("the example of three.js draws the sky behind its own objects", { skip }, async () => {
   const gate = await serve({ server: server.url });
   const { page, errors, context } = await openPage(browser, `${gate.url}examples/three/?width=320&height=180&keep`, { viewport: { width: 480, height: 300 } });
-  await page.waitForFunction("window.example?.sky.frames > 0 && !window.example.sky.connection.status.header.coarse", undefined, { timeout: 60_000 });
+  await until(page, "window.example?.sky.frames > 0 && !window.example.sky.connection.status.header.coarse", undefined, { timeout: 60_000 });
   await page.waitForTimeout(500);
   const colours = await page.evaluate(() => {
     const { renderer } = /** @type {any} */ (window).example;
@@ -171,7 +171,7 @@ test("the example of three.js draws the sky behind its own objects", { skip }, a
   await page.mouse.down();
   await page.mouse.move(180, 150, { steps: 3 });
   await page.mouse.up();
-  await page.waitForFunction((input) => /** @type {any} */ (window).example.sky.connection.status.header.input > input, before);
+  await until(page, (input) => /** @type {any} */ (window).example.sky.connection.status.header.input > input, before);
   assert.deepEqual(errors, []);
   await context.close();
   await gate.close();

@@ -6,7 +6,7 @@ import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { after, before, test } from "node:test";
 
-import { openPage, screenshot, showsFrames, startBrowser, startServer, whyNot } from "./support.js";
+import { openPage, screenshot, showsFrames, startBrowser, startServer, until, whyNot } from "./support.js";
 
 const skip = whyNot();
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
@@ -113,7 +113,7 @@ test("every number of the schema has a row with its unit and a slider that a key
   const before = (await draft(page)).sun.elevation_deg;
   await slider.focus();
   for (let i = 0; i < 20; i += 1) await page.keyboard.press("ArrowRight");
-  await page.waitForFunction((was) => /** @type {any} */ (window).skycell.scene.editor.state.document.sun.elevation_deg > was, before);
+  await until(page, (was) => /** @type {any} */ (window).skycell.scene.editor.state.document.sun.elevation_deg > was, before);
   assert.ok((await server.get("api/v1/scene")).sun.elevation_deg > before);
   assert.deepEqual(errors, []);
   await context.close();
@@ -139,21 +139,21 @@ test("a dragged slider sends few patches, the last value wins, undo and the rese
     return editor.requests - already;
   }, moves);
   assert.ok(sent <= moves / 4, `${sent} patches of ${moves} movements`);
-  await page.waitForFunction("window.skycell.scene.editor.state.document.layers[0].density.coverage === 0.8");
+  await until(page, "window.skycell.scene.editor.state.document.layers[0].density.coverage === 0.8");
   const scene = await server.get("api/v1/scene");
   assert.equal(scene.layers[0].density.coverage, 0.8);
   assert.equal(scene.layers[0].density.pattern, (await draft(page)).layers[0].density.pattern);
   // Undo: the whole drag is one step.
   await page.locator("#undo").click();
-  await page.waitForFunction((was) => /** @type {any} */ (window).skycell.scene.editor.state.document.layers[0].density.coverage === was, before);
+  await until(page, (was) => /** @type {any} */ (window).skycell.scene.editor.state.document.layers[0].density.coverage === was, before);
   assert.equal((await server.get("api/v1/scene")).layers[0].density.coverage, before);
   // One value back, by its own button.
   const input = row.locator("input:not(.slide)");
   await input.fill("0.7");
   await input.press("Enter");
-  await page.waitForFunction("window.skycell.scene.editor.state.document.layers[0].density.coverage === 0.7");
+  await until(page, "window.skycell.scene.editor.state.document.layers[0].density.coverage === 0.7");
   await row.getByRole("button", { name: /back to/ }).click();
-  await page.waitForFunction("window.skycell.scene.editor.state.document.layers[0].density.coverage === 0.45");
+  await until(page, "window.skycell.scene.editor.state.document.layers[0].density.coverage === 0.45");
   assert.deepEqual(errors.filter((error) => !error.includes("scene/revert")), []);
   await context.close();
 });
@@ -177,7 +177,7 @@ test("who has not seen somebody else's change does not overwrite it, and is told
   await page.evaluate(() => delete (/** @type {any} */ (window).skycell.scene.editor.load));
   await input.fill("77");
   await input.press("Enter");
-  await page.waitForFunction("/Somebody else/.test(document.getElementById('scene-told').textContent)");
+  await until(page, "/Somebody else/.test(document.getElementById('scene-told').textContent)");
   const scene = await server.get("api/v1/scene");
   assert.equal(scene.exposure_ev, 1.25);
   assert.notEqual(scene.sun.azimuth_deg, 77);
@@ -185,7 +185,7 @@ test("who has not seen somebody else's change does not overwrite it, and is told
   // Now it has been seen.
   await input.fill("77");
   await input.press("Enter");
-  await page.waitForFunction("window.skycell.scene.editor.state.document.sun.azimuth_deg === 77");
+  await until(page, "window.skycell.scene.editor.state.document.sun.azimuth_deg === 77");
   await context.close();
 });
 
@@ -193,18 +193,18 @@ test("a layer is added by its family and removed, a value out of range is brough
   const { page, errors, context } = await openPage(browser, server.url + SMALL);
   await openTab(page, "scene");
   await page.locator('[data-path="add-layer"] select').selectOption("cirrus");
-  await page.waitForFunction("window.skycell.scene.editor.state.document.layers.length === 2");
+  await until(page, "window.skycell.scene.editor.state.document.layers.length === 2");
   assert.equal((await server.get("api/v1/scene")).layers[1].density.model, "cirrus");
   await page.locator(".lil-title", { hasText: "Layer cirrus" }).click();
   await page.getByRole("button", { name: "Remove layer cirrus" }).click();
-  await page.waitForFunction("window.skycell.scene.editor.state.document.layers.length === 1");
+  await until(page, "window.skycell.scene.editor.state.document.layers.length === 1");
   const input = page.locator('[data-path="sun/elevation_deg"] input:not(.slide)');
   await input.fill("1000");
   await input.press("Enter");
-  await page.waitForFunction("window.skycell.scene.editor.state.document.sun.elevation_deg === 90");
+  await until(page, "window.skycell.scene.editor.state.document.sun.elevation_deg === 90");
   assert.equal(await input.inputValue(), "90");
   await page.locator("#reset").click();
-  await page.waitForFunction("window.skycell.scene.editor.state.document.sun.elevation_deg === 40");
+  await until(page, "window.skycell.scene.editor.state.document.sun.elevation_deg === 40");
   assert.deepEqual(errors, []);
   await context.close();
 });
@@ -217,22 +217,22 @@ test("a preset's picture sets it with its camera, and values are then reset to i
   await card.click();
   const loaded = await card.locator("img").evaluate((image) => /** @type {HTMLImageElement} */ (image).naturalWidth);
   assert.equal(loaded, 192);
-  await page.waitForFunction("window.skycell.camera.yaw_deg === 268");
+  await until(page, "window.skycell.camera.yaw_deg === 268");
   assert.equal(await card.getAttribute("aria-pressed"), "true");
-  await page.waitForFunction("window.skycell.scene.editor.state.document.layers.some((layer) => layer.density.model === 'cirrus')");
+  await until(page, "window.skycell.scene.editor.state.document.layers.some((layer) => layer.density.model === 'cirrus')");
   assert.equal(await page.locator("#reset-to").inputValue(), "cirrus-evening");
   const preset = (await server.get("api/v1/presets/cirrus-evening")).scene;
   await openTab(page, "scene");
   const input = page.locator('[data-path="sun/elevation_deg"] input:not(.slide)');
   await input.fill("33");
   await input.press("Enter");
-  await page.waitForFunction("window.skycell.scene.editor.state.document.sun.elevation_deg === 33");
+  await until(page, "window.skycell.scene.editor.state.document.sun.elevation_deg === 33");
   await page.locator("#reset").click();
-  await page.waitForFunction((wanted) => /** @type {any} */ (window).skycell.scene.editor.state.document.sun.elevation_deg === wanted, preset.sun.elevation_deg);
+  await until(page, (wanted) => /** @type {any} */ (window).skycell.scene.editor.state.document.sun.elevation_deg === wanted, preset.sun.elevation_deg);
   assert.deepEqual(errors, []);
   await page.locator("#reset-to").selectOption("");
   await page.locator("#reset").click();
-  await page.waitForFunction("window.skycell.scene.editor.state.document.sun.elevation_deg === 40");
+  await until(page, "window.skycell.scene.editor.state.document.sun.elevation_deg === 40");
   await server.patch({ wind: { speed_m_per_s: 0 } });
   await context.close();
 });
@@ -250,12 +250,12 @@ test("keys, help, screenshot, and the bar of the day", { skip }, async () => {
   assert.deepEqual([png.readUInt32BE(16), png.readUInt32BE(20)], [240, 136]);
   // Noon: the sun stands by the clock from then on.
   await page.locator("#noon").click();
-  await page.waitForFunction("/^1[12]:/.test(document.getElementById('hour-text').textContent)");
+  await until(page, "/^1[12]:/.test(document.getElementById('hour-text').textContent)");
   const time = await server.get("api/v1/scene/time");
   assert.ok(time.date !== null && Math.abs(time.sun.azimuth_deg - 180) < 5, JSON.stringify(time));
   await page.locator("#dusk").click();
   const low = async () => (await server.get("api/v1/scene/time")).sun.elevation_deg;
-  await page.waitForFunction("/^1[6-9]:|^2/.test(document.getElementById('hour-text').textContent)");
+  await until(page, "/^1[6-9]:|^2/.test(document.getElementById('hour-text').textContent)");
   assert.ok(Math.abs(await low()) < 2.5, `${await low()}° at dusk`);
   await page.locator("#picture").focus();
   await page.keyboard.press("h");
@@ -281,20 +281,19 @@ test("two tabs share a cell, both come back after the server was started anew, a
   const second = await openPage(browser, server.url + SMALL);
   for (const { page } of [first, second]) {
     await showsFrames(page);
-    await page
-      .waitForFunction("window.skycell.status.server.viewers_in_cell === 2 && window.skycell.status.server.overlap > 0")
+    await until(page, "window.skycell.status.server.viewers_in_cell === 2 && window.skycell.status.server.overlap > 0")
       .catch(async () => assert.fail(JSON.stringify(await page.evaluate("window.skycell.status.server"))));
   }
   await second.context.close();
   const { page, context } = first;
   const { port, state } = server;
   await server.stop(true);
-  await page.waitForFunction("/^(Connection lost|No connection|Connecting again)/.test(document.getElementById('state').textContent)");
+  await until(page, "/^(Connection lost|No connection|Connecting again)/.test(document.getElementById('state').textContent)");
   assert.equal(await page.evaluate("document.documentElement.dataset.state !== 'open'"), true);
   await screenshot(page, "page-lost");
   const drawn = Number(await page.evaluate("window.skycell.counts.drawn"));
   server = await startServer({ port, state });
-  await page.waitForFunction((before) => /** @type {any} */ (window).skycell.status.state === "open" && /** @type {any} */ (window).skycell.counts.drawn > before, drawn, { timeout: 40_000 });
+  await until(page, (before) => /** @type {any} */ (window).skycell.status.state === "open" && /** @type {any} */ (window).skycell.counts.drawn > before, drawn, { timeout: 40_000 });
   assert.equal(await page.locator("#state").textContent(), "Connected");
   await context.close();
 });

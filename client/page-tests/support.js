@@ -148,14 +148,31 @@ export async function openPage(browser, url, options = {}) {
   return { context, page, errors };
 }
 
+/**
+ * Waits until something holds in a page. Playwright's own waitForFunction evaluates text in the page, which its content policy
+ * refuses, and rightly.
+ * @template Argument
+ * @param {Page} page
+ * @param {string | ((argument: Argument) => unknown)} condition
+ * @param {Argument} [argument]
+ * @param {{ timeout?: number }} [options]
+ */
+export async function until(page, condition, argument, { timeout = 30_000 } = {}) {
+  const until_ms = Date.now() + timeout;
+  while (!(await page.evaluate(/** @type {any} */ (condition), argument))) {
+    if (Date.now() > until_ms) throw new Error(`${timeout} ms have passed without ${condition}`);
+    await new Promise((resolve) => setTimeout(resolve, 40));
+  }
+}
+
 /** @param {Page} page */
 export async function showsFrames(page) {
-  await page.waitForFunction("window.skycell?.status.state === 'open' && window.skycell.counts.drawn > 0 && window.skycell.status.server !== null");
+  await until(page, "window.skycell?.status.state === 'open' && window.skycell.counts.drawn > 0 && window.skycell.status.server !== null");
 }
 
 /** @param {Page} page */
 export async function converged(page) {
-  await page.waitForFunction("window.skycell.status.server?.sky_converged && window.skycell.status.fps < 0.6", undefined, { timeout: 60_000 });
+  await until(page, "window.skycell.status.server?.sky_converged && window.skycell.status.fps < 0.6", undefined, { timeout: 60_000 });
 }
 
 /**

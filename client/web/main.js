@@ -293,6 +293,7 @@ const side = attachSide({
   opener: element("side-button", HTMLButtonElement),
   closer: element("side-close", HTMLButtonElement),
   tabs: ["tab-sky", "tab-scene", "tab-view"].map((id) => element(id, HTMLElement)),
+  onShown: (tab) => tab === "tab-scene" && scene.describe(),
 });
 const theme = attachTheme(element("theme-button", HTMLButtonElement));
 const help = attachHelp(

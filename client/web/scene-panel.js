@@ -284,6 +284,7 @@ export function createScenePanel({ container, editor, reference, onShown }) {
       openapi = document;
       if (editor.state.draft) build(editor.state.draft);
     },
+    isDescribed: () => openapi !== null,
     /** After the reference changed. */
     refresh() {
       if (openapi && editor.state.draft) build(editor.state.draft);

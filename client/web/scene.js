@@ -70,13 +70,19 @@ export function attachScene({ onProblem, onDocument }) {
   const takeBack = () => attempt(() => editor.undo());
   undo.addEventListener("click", takeBack);
 
-  void attempt(async () => {
-    await editor.load();
-    panel.describe(await read("api/v1/openapi.json"));
-  });
+  void attempt(() => editor.load());
+  let described = false;
 
   return {
     editor,
+    /** Somebody looks at the tab: what the fields are is asked for once. */
+    describe: () => {
+      if (described) return;
+      described = true;
+      void attempt(async () => panel.describe(await read("api/v1/openapi.json"))).then(() => {
+        described = panel.isDescribed();
+      });
+    },
     undo: takeBack,
     reload: () => attempt(() => editor.load()),
     /** @param {number} revision */

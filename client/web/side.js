@@ -11,8 +11,9 @@ const WIDE_PX = 1180;
  * @param {HTMLButtonElement} parts.opener
  * @param {HTMLButtonElement} parts.closer
  * @param {HTMLElement[]} parts.tabs  role tab, with aria-controls
+ * @param {(tab: string) => void} parts.onShown  the id of a tab whenever its page comes to be seen
  */
-export function attachSide({ panel, opener, closer, tabs }) {
+export function attachSide({ panel, opener, closer, tabs, onShown }) {
   const pages = tabs.map((tab) => document.getElementById(tab.getAttribute("aria-controls") ?? ""));
   let chosen = 0;
 
@@ -25,6 +26,7 @@ export function attachSide({ panel, opener, closer, tabs }) {
       const page = pages[i];
       if (page) page.hidden = i !== chosen;
     }
+    if (panel.hidden === false) onShown(tabs[chosen].id);
   };
 
   /** @param {boolean} open @param {boolean} [byHand] */
@@ -41,6 +43,7 @@ export function attachSide({ panel, opener, closer, tabs }) {
       if (open) tabs[chosen].focus();
       else opener.focus();
     }
+    if (open) onShown(tabs[chosen].id);
   };
 
   for (const [i, tab] of tabs.entries()) {
