@@ -480,8 +480,9 @@ export class Connection {
     const socket = this.#socket;
     this.#forgetSession(); // its close is no loss that a retry would mend
     socket?.close(1000);
-    this.#change("waiting", "Waiting for a token");
     this.#retry_ms = Number.POSITIVE_INFINITY;
+    this.#status.problem = ""; // it is asked for, so nothing is wrong yet
+    this.#change("waiting", "Waiting for a token");
     void (async () => {
       const has_another = await this.#token?.refused();
       if (this.#status.state !== "waiting" || this.#socket) return;

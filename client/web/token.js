@@ -119,13 +119,17 @@ export function sendTokens(scope = globalThis) {
   const plainFetch = scope.fetch.bind(scope);
   scope.fetch = async (target, init) => {
     if (!isOwnApi(target, location.href)) return plainFetch(target, init);
-    const sent = storedToken();
-    const answer = await plainFetch(target, sent === null ? init : withToken(init, sent));
-    if (answer.status !== 401) return answer;
-    // Another request may have been told the token meanwhile.
-    const known = storedToken();
-    const token = known !== null && known !== sent ? known : await askForToken(sent === null ? FIRST : AGAIN);
-    return token === null ? answer : plainFetch(target, withToken(init, token));
+    let sent = storedToken();
+    let answer = await plainFetch(target, sent === null ? init : withToken(init, sent));
+    while (answer.status === 401) {
+      // Another request may have been told the token meanwhile.
+      const known = storedToken();
+      const token = known !== null && known !== sent ? known : await askForToken(sent === null ? FIRST : AGAIN);
+      if (token === null) return answer;
+      sent = token;
+      answer = await plainFetch(target, withToken(init, token));
+    }
+    return answer;
   };
   // A link cannot send a header: what it leads to is fetched, and then saved.
   document.addEventListener("click", (event) => {

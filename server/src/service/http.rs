@@ -36,8 +36,9 @@ const TLS_TIMEOUT: Duration = Duration::from_secs(10);
 /// How many headers a request may have. Browsers send twenty, proxies add some.
 const HEADERS_MAX: usize = 64;
 
-/// How long a request's head may be; also what is read of a body at once.
-const HEAD_MAX_BYTES: usize = 32 * 1024;
+/// A request's head that has not ended after so many bytes is refused. It is looked at after each read, of as many bytes
+/// again, so one of 32 KiB never passes. Also what is read of a body at once.
+const HEAD_BUFFER_BYTES: usize = 16 * 1024;
 
 /// After a failed accept (no file descriptors left, mostly) the next try waits.
 const ACCEPT_RETRY_INTERVAL: Duration = Duration::from_millis(200);
@@ -161,7 +162,7 @@ impl Connection {
             .timer(TokioTimer::new())
             .header_read_timeout(HEAD_TIMEOUT)
             .max_headers(HEADERS_MAX)
-            .max_buf_size(HEAD_MAX_BYTES)
+            .max_buf_size(HEAD_BUFFER_BYTES)
             .serve_connection(TokioIo::new(stream), TowerToHyperService::new(service))
             .with_upgrades();
         let mut connection = std::pin::pin!(connection);
