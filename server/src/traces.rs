@@ -16,7 +16,7 @@ static FRAMES_EVERY: AtomicU32 = AtomicU32::new(0);
 /// Traces a frame that is handed to the socket, if it is one of those.
 pub fn frame_sent(header: &FrameHeader) {
     let every = FRAMES_EVERY.load(Ordering::Relaxed);
-    if every != 0 && header.sequence.0 % every == 0 {
+    if every != 0 && header.sequence.0.is_multiple_of(every) {
         #[cfg(feature = "otlp")]
         export::frame(header);
     }
