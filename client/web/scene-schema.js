@@ -119,6 +119,18 @@ function formsOf(root, schema) {
 }
 
 /**
+ * Keys of an object in the order in which documents have them.
+ * @param {Schema} form
+ * @returns {string[]}
+ */
+function keysOf(form) {
+  const keys = Object.keys(form.properties ?? {});
+  const order = Array.isArray(form["x-order"]) ? form["x-order"] : [];
+  const place = (/** @type {string} */ key) => (order.includes(key) ? order.indexOf(key) : order.length);
+  return keys.toSorted((a, b) => place(a) - place(b));
+}
+
+/**
  * The one word that a property of a form may have.
  * @param {Schema} root
  * @param {Schema} form
@@ -170,22 +182,23 @@ function fieldOf(root, schema, value, path, label) {
         others: Object.fromEntries(entries),
       });
     }
-    for (const [name, property] of Object.entries(present ? (shown.properties ?? {}) : {})) {
+    for (const name of present ? keysOf(shown) : []) {
       if (HIDDEN.has(name) || name === tag) continue;
-      const child = fieldOf(root, property, value[name], [...path, name]);
+      const child = fieldOf(root, shown.properties[name], value[name], [...path, name]);
       if (child) children.push(child);
     }
     return { ...head, kind: "group", children, optional: nullable, present };
   }
   if (kind === "array") {
-    const each = resolve(root, form.items ?? form.prefixItems?.[0] ?? {});
+    const eachAt = (/** @type {number} */ index) => resolve(root, form.prefixItems?.[index] ?? form.items ?? {});
+    const each = eachAt(0);
     if (!Array.isArray(value)) return null;
     if (each.type === "number" && value.length <= 4) {
       const names = value.length === 3 ? CHANNELS : value.map((_, index) => String(index + 1));
       const unit = form["x-unit"] ?? found["x-unit"] ?? unitOfKey(key);
       const fallbacks = found.default;
       const children = value.flatMap((_, index) => {
-        const one = { "x-unit": unit, ...each, ...(Array.isArray(fallbacks) && { default: fallbacks[index] }) };
+        const one = { "x-unit": unit, ...eachAt(index), ...(Array.isArray(fallbacks) && { default: fallbacks[index] }) };
         const field = fieldOf(root, one, value[index], [...path, index], labelOf(names[index]));
         return field ? [field] : [];
       });
@@ -244,7 +257,7 @@ const GROUPS = /** @type {[string, string[]][]} */ ([
  */
 export function panelOf(openapi, scene) {
   const schema = resolve(openapi, openapi.components?.schemas?.Scene ?? {});
-  const keys = Object.keys(schema.properties ?? {}).filter((key) => !HIDDEN.has(key) && key !== "quality");
+  const keys = keysOf(schema).filter((key) => !HIDDEN.has(key) && key !== "quality");
   const grouped = new Set(GROUPS.flatMap(([, names]) => names));
   const groups = [...GROUPS, /** @type {[string, string[]]} */ (["More", keys.filter((key) => !grouped.has(key))])];
   return groups.flatMap(([title, names]) => {

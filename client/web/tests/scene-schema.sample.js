@@ -82,7 +82,7 @@ export const OPENAPI = {
         },
       },
       Homogeneous: { type: "object", properties: { model: word("homogeneous") } },
-      Wind: { type: "object", properties: { towards_deg: number(-360, 360, 90, "deg"), speed_m_per_s: number(0, 200, 5, "m_per_s") } },
+      Wind: { type: "object", "x-order": ["speed_m_per_s", "towards_deg"], properties: { towards_deg: number(-360, 360, 90, "deg"), speed_m_per_s: number(0, 200, 5, "m_per_s") } },
       Tone: { type: "object", properties: { curve: { type: "string", enum: ["aces", "agx", "neutral"], default: "aces" } } },
     },
   },

@@ -65,6 +65,11 @@ test("words are choices, models are told apart, and what is not there can be swi
   assert.deepEqual([found.get("planet").optional, found.get("planet").present], [true, true]);
 });
 
+test("fields stand in the order of documents", () => {
+  const wind = panelOf(OPENAPI, SCENE).find(({ title }) => title === "Wind").fields[0];
+  assert.deepEqual(wind.children.map(({ label }) => label), ["Speed", "Towards"]);
+});
+
 test("what servers write and what stands elsewhere on the page is no field", () => {
   const found = fields(panelOf(OPENAPI, SCENE));
   for (const path of ["version", "time", "quality", "sun/place_and_time", "layers/0/density/maps"]) assert.ok(!found.has(path), path);
