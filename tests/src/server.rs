@@ -170,11 +170,6 @@ impl Server {
             .map_or(self.origin.as_str(), |(_, address)| address)
     }
 
-    /// Its log so far.
-    pub fn log(&self) -> String {
-        std::fs::read_to_string(&self.log).unwrap_or_default()
-    }
-
     /// Tells it to read tokens and certificate again.
     ///
     /// # Errors

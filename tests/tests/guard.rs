@@ -125,7 +125,7 @@ async fn no_token_is_in_the_log_at_its_finest() -> anyhow::Result<()> {
         ensure!(connection.await.is_ok() == (token != wrong));
     }
     viewer.close().await;
-    let log = server.log();
+    let log = server.log()?;
     ensure!(log.contains("DEBUG"), "the log is not fine");
     ensure!(log.contains("a request is refused"), "refusals are told");
     let secrets = guarded.tokens.iter().flat_map(|(_, token)| {

@@ -96,7 +96,7 @@ async fn a_collector_gets_requests_changes_sessions_and_the_stages_of_frames() -
             "no span {name:?} among {counts:?}"
         );
     }
-    let of_name = |name: &str| spans.iter().filter(move |span| span.name == name);
+    let of_name = |name: &'static str| spans.iter().filter(move |span| span.name == name);
     let attribute = |span: &Span, key: &str| {
         let found = span.attributes.iter().find(|a| a.key == key);
         found.map(|a| format!("{:?}", a.value)).unwrap_or_default()

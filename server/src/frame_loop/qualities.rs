@@ -366,9 +366,14 @@ impl SkyRenderer {
             }
         }
         self.viewers = viewers;
+        if changed.is_empty() {
+            return;
+        }
         for id in changed {
             self.refresh_quality(id);
         }
+        // Another filter is another composite.
+        self.prepare_views();
     }
 
     /// What a frame of a viewer costs by the device's own times: its composite, and the march of what it requests spread
