@@ -165,7 +165,6 @@ fn clouds_over_the_skys_own_background_are_the_picture_in_both_renderers() {
                 .set_scene(scene(&with_layers(document.clone(), json!([]))))
                 .expect("a scene");
             let (bare, nothing) = both(&mut still, camera, &settings, true);
-            let mut covered = 0;
             assert_eq!(nothing.planes()[..3], vec![vec![f16::ZERO; pixels()]; 3]);
             let covered = (0..pixels())
                 .filter(|pixel| clouds.transmittance(*pixel) < 0.9)

@@ -131,6 +131,7 @@ async fn a_recording_goes_on_when_the_server_is_killed_and_started_again() -> Ou
         size: FrameSize::new(96, 54)?,
         stereo: None,
         codec: Codec::Png,
+        haze: true,
         quality: None,
         sharp_wait: Duration::from_millis(200),
         frame_timeout: Duration::from_secs(60),

@@ -2,8 +2,8 @@
 
 mod apart;
 mod client;
-mod durability;
 mod conformance;
+mod durability;
 mod figures;
 mod lifecycle;
 mod limits;
