@@ -19,6 +19,7 @@ mod passes;
 mod qualities;
 mod reanchoring;
 mod renderer;
+mod renderer_fade;
 mod screen_space;
 mod sides;
 mod sky_steps;
