@@ -13,11 +13,14 @@ use std::sync::Arc;
 
 type Outcome = anyhow::Result<()>;
 
-const SIZE: [u32; 2] = [160, 90];
+const SIZE: [u32; 2] = [192, 108];
 const SAMPLES: u32 = 4;
-/// What the cache differs by at its reference from below, between and above layers at most: the far part is read as that is, and
-/// the near part is the same rays.
+/// What the cache differs by at its reference from below, between and above layers at most (`above.rs`): the far part is read as
+/// that is, and the near part is the same rays.
 const AT_REFERENCE: f64 = 0.0191;
+/// By how much that grows from below when the reference is so far aside (`measure distance`).
+const ASIDE_100_M: f64 = 0.007;
+const ASIDE_300_M: f64 = 0.016;
 
 fn scene() -> anyhow::Result<Arc<Scene>> {
     // The default's low layer, without wind.
@@ -152,15 +155,15 @@ fn in_a_layer_near_and_far_together_show_what_rays_alone_show() -> Outcome {
 #[test]
 fn beside_the_reference_of_a_layer_nothing_is_torn() -> Outcome {
     let mut still = renderer()?;
-    for (name, offset_m, most) in [
-        ("100m-aside", [100.0, 0.0, 0.0], 0.03),
-        ("300m-aside", [300.0, 0.0, 0.0], 0.05),
-        ("100m-up", [0.0, 100.0, 0.0], 0.03),
+    for (name, offset_m, more) in [
+        ("100m-aside", [100.0, 0.0, 0.0], ASIDE_100_M),
+        ("300m-aside", [300.0, 0.0, 0.0], ASIDE_300_M),
+        ("100m-up", [0.0, 100.0, 0.0], ASIDE_100_M),
     ] {
         let camera = camera(2_500.0, 40.0, 0.0)?;
         let cached = settings(RendererKind::Cached, offset_m);
         let (flip, _) = apart(&mut still, name, camera, &cached)?;
-        ensure!(flip <= most, "{name}: {flip}");
+        ensure!(flip <= AT_REFERENCE + more, "{name}: {flip}");
     }
     Ok(())
 }
@@ -180,7 +183,7 @@ fn in_slabs_the_far_part_is_kept_in_bands() -> Outcome {
 #[test]
 fn near_parts_that_end_where_far_ones_do_not_begin_are_found() -> Outcome {
     let mut still = renderer()?;
-    // Of what is between 2.4 and 3 km the far part has all, too.
+    // Of what is between 1.6 and 2 km the near part has all, the far part some.
     still.plant(Some(|path, source| match path {
         "march/pixels.wgsl" => source.replace("end_m - eye.reach_fade_m", "end_m"),
         _ => source.to_owned(),
@@ -188,11 +191,11 @@ fn near_parts_that_end_where_far_ones_do_not_begin_are_found() -> Outcome {
     let cached = settings(RendererKind::Cached, [0.0; 3]);
     let along = camera(2_500.0, 40.0, 0.0)?;
     let (twice, _) = apart(&mut still, "planted-twice", along, &cached)?;
-    // Of what is between 1.8 and 3 km nobody has all.
+    // Of what is between 1.2 and 2 km nobody has all.
     still.plant(Some(|path, source| match path {
         "march/pixels.wgsl" => source.replace(
             "let end_m = dome_distance_m(eye.reach_m,",
-            "let end_m = dome_distance_m(eye.reach_m - 600.0,",
+            "let end_m = dome_distance_m(eye.reach_m - 400.0,",
         ),
         _ => source.to_owned(),
     }))?;

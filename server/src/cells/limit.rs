@@ -1,6 +1,6 @@
 //! How wide a cell may be.
 
-use crate::march::Side;
+use crate::march::{REACH_M, Side};
 use glam::DVec3;
 
 /// Sideways, where the error of a shared reference becomes just noticeable, m (Weinrauch et al. 2023, user study).
@@ -8,8 +8,8 @@ const RADIUS_M: f64 = 3_000.0;
 /// The same upwards, m.
 const RADIUS_UP_M: f64 = 1_100.0;
 
-/// In a layer, sideways, m: the far part of it begins 3 km away (`march::REACH_M`), nearer than clouds are from anywhere else.
-const IN_LAYER_RADIUS_M: f64 = 750.0;
+/// In a layer, sideways, m: its far part begins nearer than clouds are from elsewhere.
+const IN_LAYER_RADIUS_M: f64 = 0.25 * REACH_M;
 
 /// Bounds of storeys: twice as many as a scene has layers.
 const STOREYS_MAX: usize = 8;

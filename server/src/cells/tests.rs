@@ -370,12 +370,12 @@ fn nobody_shares_what_is_seen_from_the_other_side_of_a_layer() {
 }
 
 #[test]
-fn in_a_layer_cells_are_a_quarter_as_wide() {
+fn in_a_layer_cells_are_narrower() {
     let storeys = Storeys::of(&[[1_500.0, 4_000.0]]);
     for (altitude_m, apart_m, shares) in [
         (2.0, 2_000.0, true),
         (2_500.0, 2_000.0, false),
-        (2_500.0, 500.0, true),
+        (2_500.0, 350.0, true),
         (4_500.0, 2_000.0, true),
     ] {
         let mut cells = empty();

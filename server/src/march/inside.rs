@@ -9,10 +9,10 @@ use glam::DVec3;
 /// Near is what is no farther from where the rays of the far part start, m. From beside there something at distance d is seen at
 /// another angle, by as much as the way over d: so this is large against how wide cells are in a layer.
 /// Tuned: `cargo test --release -p skycell-tests --test inside -- --nocapture`.
-pub const REACH_M: f64 = 3_000.0;
+pub const REACH_M: f64 = 2_000.0;
 /// Over so long a way before that the near part has less and less of the layer and the far part more and more, m: where both
 /// are not seen from the same place, or not marched alike, there is no ring.
-pub const REACH_FADE_M: f64 = 600.0;
+pub const REACH_FADE_M: f64 = 400.0;
 
 /// What a dome keeps of a layer that rays start in.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -105,6 +105,29 @@ impl Driven {
     }
 }
 
+/// Every third frame of both, one row above the other, to be looked at.
+fn strip(frames: &[Vec<RgbImage>; 2]) -> image::ImageResult<()> {
+    let columns = frames[0].len().div_ceil(3) as u32;
+    let (width, height) = frames[0][0].dimensions();
+    let mut strip = RgbImage::new(columns * width, 2 * height);
+    for (row, frames) in (0..).zip(frames) {
+        for (column, frame) in (0..).zip(frames.iter().step_by(3)) {
+            image::imageops::replace(
+                &mut strip,
+                frame,
+                column * i64::from(width),
+                row * i64::from(height),
+            );
+        }
+    }
+    let folder = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../target/pictures-of-tests/inside"
+    );
+    std::fs::create_dir_all(folder)?;
+    strip.save(format!("{folder}/climb.png"))
+}
+
 #[test]
 fn a_climb_through_a_layer_and_back_shows_no_step_that_rays_do_not_show() {
     // Up through the lower layer into the gap, and down again, each with a rest in the layer and at the end.
@@ -140,6 +163,7 @@ fn a_climb_through_a_layer_and_back_shows_no_step_that_rays_do_not_show() {
         );
     }
     println!("{made:?}");
+    strip(&frames).expect("a picture");
     let order: Vec<Made> = made.iter().map(|(_, made)| *made).collect();
     let into_and_out = [
         Made::FromCache,

@@ -382,6 +382,13 @@ impl SkyRenderer {
         }
     }
 
+    /// Whether a reference that goes from one place to another jumps: from there nothing is seen as it was from here. Who flies
+    /// close over clouds goes far about them in a frame, and is shown its own motion.
+    pub(super) fn is_a_jump(&self, from_m: DVec3, to_m: DVec3) -> bool {
+        let moved_rad = from_m.distance(to_m) / self.cloud_height_m(to_m.y);
+        Way::is_a_jump(Way::hidden_by(0.0, moved_rad))
+    }
+
     /// Ways that the motion from one camera to another hides.
     pub(super) fn motion_between(&self, before: &Camera, now: &Camera) -> f64 {
         let [was_m, is_m] = [before, now].map(|camera| DVec3::from_array(camera.position_m()));
