@@ -33,6 +33,7 @@ mod still_frames;
 mod still_living;
 mod still_settings;
 mod still_shared;
+mod still_together;
 mod sun_volumes;
 mod transitions;
 mod viewers_on_device;
