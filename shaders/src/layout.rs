@@ -373,10 +373,10 @@ gpu_struct! {
         near_gap_m: f32,
         /// The same in cloud, where it ends with the next gap, m.
         far_gap_m: f32,
-        /// Fills to 16 bytes.
-        pad_near: f32,
-        /// Fills to 16 bytes.
-        pad_far: f32,
+        /// From this distance on it has all of the density, m; from `near_m` on that goes up evenly.
+        full_near_m: f32,
+        /// Up to this distance, m; to `far_m` it goes down evenly.
+        full_far_m: f32,
     }
 }
 
@@ -724,6 +724,18 @@ gpu_struct! {
         picture_width: u32,
         /// First column of this view in the picture.
         first_column: u32,
+        /// Where rays end that only go through the near part of a layer, m from `reach_from`.
+        reach_m: f32,
+        /// Over so long a way there is less and less of the layer in them, m. 0: rays go on to the end.
+        reach_fade_m: f32,
+        /// Among what is marched, the place of the layer that a pass marches.
+        place: u32,
+        /// One bit for each layer whose near part is marched for this view.
+        near_layers: u32,
+        /// Where the rays of the far part start.
+        reach_from: [f32; 3],
+        /// Padding.
+        pad_end: f32,
     }
 }
 

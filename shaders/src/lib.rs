@@ -230,6 +230,9 @@ pub struct Features {
     pub parallax: bool,
     /// Some layer is below the viewer (march of texels, which may be below; composite of the cache).
     pub above: bool,
+    /// Rays of some layer's far part start in it, and its near part is marched for each viewer (march of texels, which may start
+    /// there; composite of the cache).
+    pub inside: bool,
     /// Single scattering is coloured with the phase of the ray that was marched instead of the viewer's own, as where the
     /// phase is kept in texels (composite of the cache, one part a layer).
     pub phase_of_reference: bool,
@@ -279,6 +282,7 @@ impl Default for Features {
             screen_space: false,
             parallax: false,
             above: false,
+            inside: false,
             phase_of_reference: false,
             exact_interpolation: false,
             count_reads: false,
@@ -326,6 +330,7 @@ impl Features {
                 screen_space: bits & 4 != 0,
                 parallax: bits & 8 != 0,
                 above: (bits ^ (bits >> 2) ^ count) & 1 != 0,
+                inside: (bits ^ (bits >> 2) ^ count) & 3 == 1,
                 phase_of_reference: bits & 12 == 0,
                 ray_list: bits & 12 == 4,
                 window: bits & 12 == 12,
@@ -351,6 +356,8 @@ impl Features {
     }
 
     fn definitions(self) -> HashMap<String, ShaderDefValue> {
+        // With layers on domes, rays of a viewer's own go on to the end.
+        let inside = self.inside && self.above && !self.screen_space && !self.domes;
         let mut definitions = HashMap::from([
             (
                 "OCTAVE_VECTORS".to_owned(),
@@ -388,6 +395,12 @@ impl Features {
             ("SCREEN_SPACE", self.screen_space),
             ("PARALLAX", self.parallax && !self.screen_space),
             ("ABOVE", self.above && !self.screen_space),
+            ("INSIDE", inside),
+            // Parts of layers are told by distances.
+            ("DISTANCES", self.domes || inside),
+            // Parts of a layer stand in front of one another.
+            ("PARTS", self.proxies >= 2 || inside),
+            ("MARCHED", self.screen_space || inside),
             (
                 "PHASE_OF_REFERENCE",
                 self.phase_of_reference && !self.screen_space,

@@ -45,11 +45,19 @@ fn rendered_with(
     document: &Value,
     settings: &StillSettings,
 ) -> (DeviceInventory, BTreeMap<&'static str, BTreeSet<String>>) {
+    rendered_from(2.0, document, settings)
+}
+
+fn rendered_from(
+    altitude_m: f64,
+    document: &Value,
+    settings: &StillSettings,
+) -> (DeviceInventory, BTreeMap<&'static str, BTreeSet<String>>) {
     let scene = Scene::from_json(document).expect("a valid document");
     let noise = target_dir().expect("a folder").join("noise-of-tests");
     let mut still =
         StillRenderer::new(RenderConfig::new(noise), Arc::new(scene), &[]).expect("a device");
-    let camera = Camera::new([0.0, 2.0, 0.0], 0.0, 30.0, 60.0).expect("a camera");
+    let camera = Camera::new([0.0, altitude_m, 0.0], 0.0, 30.0, 60.0).expect("a camera");
     let size = FrameSize::new(32, 16).expect("a size");
     still
         .render_with(camera, size, settings, |_| {})
@@ -110,6 +118,29 @@ fn a_cached_picture_has_no_marched_pixels_and_the_other_way_round() {
     assert!(passes(&inventory, "cache") == 0 && passes(&inventory, "screen-space") > 0);
     assert!(inventory.has("marched pixels"), "{inventory:?}");
     assert!(atlas_bytes(&inventory) < 4096, "{inventory:?}");
+}
+
+#[test]
+fn only_a_viewer_in_a_layer_has_a_near_part_of_that_layer_alone() {
+    let document = json!({"version": 1, "layers": [
+        {"name": "low", "base_altitude_m": 1500, "top_altitude_m": 4000},
+        {"name": "high", "base_altitude_m": 6000, "top_altitude_m": 6600}]});
+    let settings = settings(RendererKind::Cached, Show::Picture);
+    for altitude_m in [2.0, 5_000.0] {
+        let (inventory, reads) = rendered_from(altitude_m, &document, &settings);
+        assert!(!inventory.has("marched pixels"), "{inventory:?}");
+        assert_eq!(passes(&inventory, "screen-space"), 0, "{altitude_m} m");
+        assert!(!reads["composite"].contains("marched"), "{reads:?}");
+    }
+    let (inventory, reads) = rendered_from(2_500.0, &document, &settings);
+    assert!(passes(&inventory, "cache") > 0 && passes(&inventory, "screen-space") > 0);
+    assert!(atlas_bytes(&inventory) > 1 << 20, "{inventory:?}");
+    for name in ["marched", "atlas_radiance", "page_table"] {
+        assert!(reads["composite"].contains(name), "{reads:?}");
+    }
+    // Five values of a pixel of one layer.
+    let near = inventory.resources["marched pixels"].bytes;
+    assert_eq!(near, 32 * 16 * 5 * 4);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Which tiles a viewer needs: those inside its frustum and above its horizon, at the level of its pixels.
 
 use super::address::{GUTTER, LEVELS, TILE_INTERIOR, TILE_STRIDE, TileKey, texel_solid_angle_sr};
-use crate::march::{CellFrame, Surface};
+use crate::march::{CellFrame, Side, Surface};
 use glam::{DVec2, DVec3};
 use std::collections::BTreeMap;
 
@@ -90,10 +90,57 @@ impl ProxySphere {
         }
     }
 
+    /// The layer's altitudes, m, where rays start in it and its far part is kept.
+    fn layer_around(&self) -> Option<[f64; 2]> {
+        let altitudes_m = self.band.map(|band| band.altitudes_m)?;
+        let is_dome = matches!(self.surface, Surface::Dome { .. });
+        let altitude_m = self.frame.altitude_m(self.anchor);
+        (is_dome && Side::of(altitudes_m, altitude_m) == Side::Within).then_some(altitudes_m)
+    }
+
+    /// How far a ray goes from the reference, which is in a layer, until it leaves that for good, m: on its way down at the base,
+    /// and where it passes over the ground at the top.
+    fn leaves_layer_m(&self, along: DVec3, [base_m, top_m]: [f64; 2]) -> f64 {
+        let (frame, from) = (&self.frame, self.reference);
+        let is_ahead = |[near_m, _]: &[f64; 2]| *near_m > 0.0;
+        let ground_m = frame.shell_roots_m(from, along, 0.0).filter(is_ahead);
+        let below_m = frame.shell_roots_m(from, along, base_m).filter(is_ahead);
+        match (ground_m, below_m) {
+            (Some(_), Some([near_m, _])) => near_m,
+            _ => frame.distance_to_shell_m(from, along, top_m),
+        }
+    }
+
+    /// Whether some texel of a tile may hold something of a layer that rays start in: those whose rays leave it before the far
+    /// part begins do not.
+    fn may_hold_far_part(&self, tile: TileKey, between_rad: f64, layer_m: [f64; 2]) -> bool {
+        let near_m = self.band.map_or(0.0, |band| band.distances_m[0]);
+        // Rays between this and the horizontal pass over the ground's edge.
+        let dip_rad = horizon_dip_rad(&self.frame, self.reference);
+        (0..9).any(|index| {
+            let within = DVec2::new(f64::from(index % 3), f64::from(index / 3)) / 2.0;
+            let along =
+                (self.point(tile.direction(within)) - self.reference).normalize_or(DVec3::Y);
+            let across = along.with_y(0.0).normalize_or(DVec3::X);
+            let elevation_rad = along.y.clamp(-1.0, 1.0).asin();
+            // The flatter, the longer.
+            let flatter_rad = if elevation_rad < 0.0 {
+                (elevation_rad + between_rad).min(0.0)
+            } else {
+                (elevation_rad - between_rad).max(0.0)
+            };
+            let flattest = across * flatter_rad.cos() + DVec3::Y * flatter_rad.sin();
+            (-dip_rad..=0.0).contains(&flatter_rad)
+                || self.leaves_layer_m(flattest, layer_m) >= near_m
+        })
+    }
+
     /// Where a ray from the reference enters and leaves what is kept between two altitudes; none where it passes over it.
     fn ends_between(&self, along: DVec3, [low_m, high_m]: [f64; 2]) -> Option<[DVec3; 2]> {
         let (frame, from) = (&self.frame, self.reference);
-        let ends_m = if self.top_m.is_some() {
+        let ends_m = if let Some(layer_m) = self.layer_around() {
+            [0.0, self.leaves_layer_m(along, layer_m)]
+        } else if self.top_m.is_some() {
             // What is behind is on no ray.
             let [enters_m, leaves_m] = frame
                 .shell_roots_m(from, along, high_m)
@@ -120,6 +167,9 @@ impl ProxySphere {
         // Between the places that are looked at, directions are this far away from one of them at most: tiles are up to twice
         // as long as wide.
         let between_rad = 0.5 * texel_solid_angle_sr(tile.level).sqrt() * f64::from(TILE_INTERIOR);
+        if let Some(layer_m) = self.layer_around() {
+            return self.may_hold_far_part(tile, between_rad, layer_m);
+        }
         (0..9).any(|index| {
             let within = DVec2::new(f64::from(index % 3), f64::from(index / 3)) / 2.0;
             let along =
@@ -234,6 +284,14 @@ struct Visible {
 impl Visible {
     fn of(sphere: &ProxySphere, eye: DVec3) -> Self {
         let frame = &sphere.frame;
+        if sphere.layer_around().is_some() {
+            // What is around is seen in all directions.
+            return Self {
+                dip_rad: std::f64::consts::FRAC_PI_2,
+                from_above: false,
+                up: DVec3::Y,
+            };
+        }
         let Some(top_m) = sphere.top_m else {
             return Self {
                 dip_rad: horizon_dip_rad(frame, eye),

@@ -1,12 +1,15 @@
 //! How wide a cell may be.
 
-use crate::march::Side;
+use crate::march::{REACH_M, Side};
 use glam::DVec3;
 
 /// Sideways, where the error of a shared reference becomes just noticeable, m (Weinrauch et al. 2023, user study).
 const RADIUS_M: f64 = 3_000.0;
 /// The same upwards, m.
 const RADIUS_UP_M: f64 = 1_100.0;
+
+/// In a layer, sideways, m: its far part begins nearer than clouds are from elsewhere.
+const IN_LAYER_RADIUS_M: f64 = 0.25 * REACH_M;
 
 /// Bounds of storeys: twice as many as a scene has layers.
 const STOREYS_MAX: usize = 8;
@@ -35,6 +38,12 @@ impl Storeys {
             *place = *layer_m;
         }
         storeys
+    }
+
+    /// Whether an altitude is in a layer.
+    fn is_in_layer(&self, altitude_m: f64) -> bool {
+        let mut layers = self.layers_m.iter();
+        layers.any(|between_m| Side::of(*between_m, altitude_m) == Side::Within)
     }
 
     /// Whether two altitudes are in one storey.
@@ -108,14 +117,19 @@ impl CellLimit {
         self.radius_m
     }
 
-    /// How far apart two places are, as the error of a shared reference goes, m sideways; infinitely where they are not on the
-    /// same side of each layer.
+    /// How far apart two places are, as the error of a shared reference goes, m sideways: farther in a layer, whose clouds are near,
+    /// and infinitely far where they are not on the same side of each layer.
     #[must_use]
     pub fn distance_m(self, a_m: DVec3, b_m: DVec3) -> f64 {
         if !self.share_storey(a_m, b_m) {
             return f64::INFINITY;
         }
+        let weight = if self.storeys.is_in_layer(a_m.y) {
+            (self.radius_m / IN_LAYER_RADIUS_M).max(1.0)
+        } else {
+            1.0
+        };
         let away = a_m - b_m;
-        DVec3::new(away.x, away.y * self.up_weight, away.z).length()
+        weight * DVec3::new(away.x, away.y * self.up_weight, away.z).length()
     }
 }

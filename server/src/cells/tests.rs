@@ -370,6 +370,33 @@ fn nobody_shares_what_is_seen_from_the_other_side_of_a_layer() {
 }
 
 #[test]
+fn in_a_layer_cells_are_narrower() {
+    let storeys = Storeys::of(&[[1_500.0, 4_000.0]]);
+    for (altitude_m, apart_m, shares) in [
+        (2.0, 2_000.0, true),
+        (2_500.0, 2_000.0, false),
+        (2_500.0, 350.0, true),
+        (4_500.0, 2_000.0, true),
+    ] {
+        let mut cells = empty();
+        cells.set_storeys(storeys);
+        for (id, east_m) in ids(2).zip([0.0, apart_m]) {
+            cells.place(id, DVec3::new(east_m, altitude_m, 0.0));
+        }
+        for _ in 0..300 {
+            cells.regroup(TICK_S);
+        }
+        check(&cells, "in a layer");
+        let [a, b] = [1, 2].map(|id| cells.cell_of(ViewerId(id)));
+        assert_eq!(a == b, shares, "{apart_m} m at {altitude_m} m");
+    }
+    // Who asks for less than that anyway is not asked for less.
+    let narrow = CellLimit::new(300.0, 110.0).with_storeys(storeys);
+    let [a, b] = [0.0, 200.0].map(|east_m| DVec3::new(east_m, 2_000.0, 0.0));
+    assert!((narrow.distance_m(a, b) - 200.0).abs() < 1e-9);
+}
+
+#[test]
 fn who_jumps_away_leaves_the_others_where_they_are() {
     let mut cells = Cells::new(&[], CellLimit::default());
     for viewer in 1..=3 {

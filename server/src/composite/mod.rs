@@ -54,6 +54,19 @@ pub fn with_above(key: PipelineKey) -> PipelineKey {
     }
 }
 
+/// A composite for a viewer in some layer, whose near part is marched for it.
+#[must_use]
+pub fn with_inside(key: PipelineKey) -> PipelineKey {
+    PipelineKey {
+        features: Features {
+            above: true,
+            inside: true,
+            ..key.features
+        },
+        ..key
+    }
+}
+
 /// What a composite is specialised to.
 #[must_use]
 pub fn composite_key(

@@ -9,8 +9,8 @@ use crate::cache::{
 };
 use crate::composite::view_frustum;
 use crate::march::{
-    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, Side, drift_m_per_s,
-    scene_uniform,
+    ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, REACH_M, Side,
+    drift_m_per_s, scene_uniform,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, Scene, ViewerId};
@@ -24,6 +24,9 @@ const ANCHOR_DRIFT_MAX_M: f64 = 4_000.0;
 const ANCHOR_RISE_MAX: f64 = 0.5;
 /// Heights above the reference count as this at least, m.
 const SPHERE_HEIGHT_MIN_M: f64 = 100.0;
+
+/// The same about a dome that keeps the far part of a layer, m: about a sixth of its radius.
+const ANCHOR_IN_LAYER_MAX_M: f64 = 1_000.0;
 
 /// Under wind tiles move past the viewers; what they need is looked up this often. At 50 m/s that is 2.5 m.
 const REQUESTS_INTERVAL: Duration = Duration::from_millis(50);
@@ -152,8 +155,13 @@ pub(super) fn parallax_steps(
         / f64::from(viewer.view.size.height());
     let is_seen = active.iter().any(|layer| {
         let layer = &scene.layers()[layer.scene_index];
-        let [base_m, top_m] = [layer.base_altitude_m(), layer.top_altitude_m()]
-            .map(|altitude_m| (altitude_m - reference_m.y).abs().max(LAYER_NEAREST_M));
+        let between_m = [layer.base_altitude_m(), layer.top_altitude_m()];
+        if !domes && Side::of(between_m, reference_m.y) == Side::Within {
+            // The far part is between where it begins and the end of the world.
+            return away_m / REACH_M > PARALLAX_PIXELS * pixel_rad;
+        }
+        let [base_m, top_m] =
+            between_m.map(|altitude_m| (altitude_m - reference_m.y).abs().max(LAYER_NEAREST_M));
         // A shell is in the layer; a dome is as far as the sky anywhere.
         let between_per_m = if domes {
             1.0 / base_m.min(top_m)
@@ -367,7 +375,7 @@ impl SkyRenderer {
             reference: cell.frame.from_world(cell.reference_m),
             seen_between_m: None,
             band: distances_m.map(|distances_m| Band {
-                altitudes_m: proxy.between_m,
+                altitudes_m: proxy.altitudes_m(&cell.frame, anchor),
                 distances_m,
             }),
         }
@@ -435,16 +443,27 @@ impl SkyRenderer {
         self.active.iter().enumerate().any(|(place, layer)| {
             let off = self.anchor_m(cell, place) - reference;
             let altitude_m = cell.frame.altitude_m(reference);
-            let top_m = self.scene.layers()[layer.scene_index].top_altitude_m();
+            let shell = &self.scene.layers()[layer.scene_index];
+            let [base_m, top_m] = [shell.base_altitude_m(), shell.top_altitude_m()];
             // Rays from above that graze the layer meet the surface about an anchor that is no lower than half way to the top.
             let height_m = if altitude_m > top_m {
                 altitude_m - top_m
             } else {
                 layer.proxy_altitude_m - altitude_m
             };
-            let rise_max_m = ANCHOR_RISE_MAX * height_m.abs().max(SPHERE_HEIGHT_MIN_M);
+            let is_within = altitude_m >= base_m && altitude_m <= top_m;
+            let rise_max_m = if is_within {
+                ANCHOR_IN_LAYER_MAX_M
+            } else {
+                ANCHOR_RISE_MAX * height_m.abs().max(SPHERE_HEIGHT_MIN_M)
+            };
             let [aside_max_m, rise_max_m] =
                 self.anchors_may_be_off(cell, [ANCHOR_DRIFT_MAX_M, rise_max_m]);
+            let aside_max_m = if is_within && self.keeps_far_parts() {
+                aside_max_m.min(ANCHOR_IN_LAYER_MAX_M)
+            } else {
+                aside_max_m
+            };
             off.with_y(0.0).length() > aside_max_m
                 || (is_read && off.y.abs() > rise_max_m)
                 || (is_read && !self.is_anchored_aright(cell, place))
@@ -483,12 +502,14 @@ impl SkyRenderer {
                 .iter()
                 .map(|proxy| self.sphere_of(cell, proxy))
                 .collect();
-            // Nothing is kept of a layer in which rays start.
+            // Where layers are on domes, nothing is kept of one in which rays start.
             let sides = self.sides_at(cell.reference_m.y);
             let holds: Vec<bool> = self
                 .proxies
                 .iter()
-                .map(|proxy| sides.get(proxy.layer) != Some(&Side::Within))
+                .map(|proxy| {
+                    self.keeps_far_parts() || sides.get(proxy.layer) != Some(&Side::Within)
+                })
                 .collect();
             // By drift, or because the reference has moved.
             let moved = drifted || cell.coarse.len() != spheres.len();

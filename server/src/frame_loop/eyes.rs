@@ -49,6 +49,18 @@ impl SkyRenderer {
         let views = self.views_in(viewer, asked.cell, asked.requests)?;
         let cell = self.active_cells.get_mut(&asked.cell)?;
         let (gpu, pipelines) = (&self.gpu, &self.pipelines);
+        if views.iter().any(|view| view.near_layers != 0) {
+            let job = viewer.screen_space.as_ref()?;
+            job.shown_from()?;
+            let read = |(view, eye): (layout::View, &EyeJob)| {
+                let values = eye.marched().values();
+                let group = cell
+                    .buffers
+                    .inside_group(gpu, pipelines, &self.atlas, values);
+                (view, group)
+            };
+            return Some(views.into_iter().zip(job.eyes()).map(read).collect());
+        }
         let cache = cell.buffers.cached_group(gpu, pipelines, &self.atlas);
         let read = |view| (view, cache.clone());
         Some(views.into_iter().map(read).collect())

@@ -225,7 +225,9 @@ impl SkyRenderer {
                 let is_time = meter
                     .metered
                     .is_none_or(|last| now.duration_since(last) >= INTERVAL);
-                let is_wanted = reads_cache && is_time && (meter.due || windy);
+                // In a layer most of what is seen is near, and not in the cache: eyes stay used to the light.
+                let is_around = self.near_layers_of(&cell) != 0;
+                let is_wanted = reads_cache && !is_around && is_time && (meter.due || windy);
                 if is_wanted && self.can_be_metered(&cell) {
                     self.meter(id, &mut cell, &mut meter);
                     meter.metered = Some(now);

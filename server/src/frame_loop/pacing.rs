@@ -442,8 +442,7 @@ impl FrameLoop {
             .iter()
             .filter(|(id, pace)| {
                 self.renderer.viewers.get(id).is_some_and(|viewer| {
-                    // Screen-space pictures are composited when a sample is complete.
-                    viewer.kind == RendererKind::Cached
+                    self.is_on_schedule(**id, viewer, pace)
                         && self.has_room(viewer)
                         && self.due_at(pace).is_some_and(|due| due <= now)
                         && !self.renderer.waits_for_tiles(viewer)
@@ -451,6 +450,18 @@ impl FrameLoop {
             })
             .map(|(id, _)| *id)
             .collect()
+    }
+
+    /// Whether a viewer's frames come at their time. What is marched for it alone is composited when a sample is complete; then
+    /// only what it shares, or a mix of two pictures, can be new.
+    fn is_on_schedule(&self, id: ViewerId, viewer: &ActiveViewer, pace: &Pace) -> bool {
+        if !self.renderer.marches_pixels(viewer) {
+            return true;
+        }
+        let shares = viewer.kind == RendererKind::Cached && pace.change == Change::Sharper;
+        (viewer.fades() || shares)
+            && !self.renderer.screen_space_pending(id)
+            && (viewer.screen_space.as_ref()).is_some_and(|job| job.shown_from().is_some())
     }
 
     /// Counts the frames that are due and wait for tiles.
@@ -653,7 +664,7 @@ impl FrameLoop {
             .renderer
             .viewers
             .iter()
-            .filter(|(_, viewer)| viewer.kind == RendererKind::ScreenSpace)
+            .filter(|(_, viewer)| self.renderer.marches_pixels(viewer))
             .map(|(id, _)| *id)
             .collect();
         for id in ids {

@@ -174,11 +174,19 @@ impl SkyRenderer {
             let Some(mut viewer) = self.viewers.remove(id) else {
                 continue;
             };
+            // With rays of its own a viewer is shown what it saw when they were marched.
+            let asked = viewer.view.camera;
+            let marched_from = (self.marches_pixels(&viewer))
+                .then(|| viewer.screen_space.as_ref()?.shown_from())
+                .flatten();
+            viewer.view.camera = marched_from.unwrap_or(asked);
+            let shown = viewer.view.camera;
             if let Some(buffer) = viewer.ring.take(&self.gpu)
                 && let Some(pre_exposure) = self.record_frame(&mut encoder, &viewer, &buffer)
             {
-                under_way.push((*id, buffer, pre_exposure));
+                under_way.push((*id, buffer, pre_exposure, shown));
             }
+            viewer.view.camera = asked;
             self.viewers.insert(*id, viewer);
         }
         if under_way.is_empty() {
@@ -191,14 +199,14 @@ impl SkyRenderer {
         let mut pending_cells = BTreeMap::new();
         let mut shown_cells = Vec::new();
         let mut done = Vec::new();
-        for (id, buffer, pre_exposure) in under_way {
+        for (id, buffer, pre_exposure, camera) in under_way {
             let shown = self.viewers.get(&id);
             let coarse = shown.is_some_and(|v| self.shows_coarse(v));
             let exact = !coarse && shown.is_some_and(|v| self.is_exact(id, v, &mut pending_cells));
             let Some(viewer) = self.viewers.get_mut(&id) else {
                 continue;
             };
-            viewer.shown_camera = viewer.view.camera;
+            viewer.shown_camera = camera;
             viewer.sequence = viewer.sequence.wrapping_add(1);
             viewer.frames_composited += 1;
             self.counters.frames_composited += 1;
@@ -275,11 +283,12 @@ impl SkyRenderer {
         if viewer.transition.is_some()
             || viewer.approaches.is_some()
             || viewer.renderer_fade.is_some()
+            || self.screen_space_pending(id)
         {
             return false;
         }
         match viewer.kind {
-            RendererKind::ScreenSpace => !self.screen_space_pending(id),
+            RendererKind::ScreenSpace => true,
             RendererKind::Cached => !*pending
                 .entry(viewer.cell)
                 .or_insert_with(|| self.lacks_samples(viewer.cell)),

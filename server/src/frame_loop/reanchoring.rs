@@ -92,7 +92,11 @@ impl SkyRenderer {
     /// ones. Where there is nothing that is worth keeping, its caches start anew.
     pub(super) fn reanchor_cell(&mut self, id: CellId) {
         if !self.can_be_resampled(id) {
-            if !self.leave_behind(id) {
+            let has_jumped = self
+                .active_cells
+                .get(&id)
+                .is_some_and(|cell| self.is_a_jump(cell.came_from_m, cell.reference_m));
+            if !self.leave_behind(id, has_jumped) {
                 self.restart_cell(id);
             }
             return;
@@ -150,9 +154,10 @@ impl SkyRenderer {
         cell.buffers.set_tables(&self.gpu, &tables);
     }
 
-    /// A cell has jumped with all who are in it: they go on seeing it as from where they were, until there is a coarse sky at its
-    /// new place. So no frame waits, and none is without clouds. False where it has nothing to show, or nobody looks.
-    fn leave_behind(&mut self, id: CellId) -> bool {
+    /// A cell goes so fast with all who are in it that nothing of what it holds can be resampled: they go on seeing that until
+    /// there is something at its new place, or after a jump, as from where they were, until there is a coarse sky. So no
+    /// frame waits, and none is without clouds. False where it has nothing to show, or nobody looks.
+    fn leave_behind(&mut self, id: CellId, has_jumped: bool) -> bool {
         let mut proxies = 0..self.proxies.len() as u32;
         let is_shown = !self.proxies.is_empty()
             && proxies.all(|proxy| {
@@ -165,7 +170,7 @@ impl SkyRenderer {
         let Some(mut old) = self.active_cells.remove(&id) else {
             return false;
         };
-        let Some(stand_in) = self.keep_for_viewers(id, true) else {
+        let Some(stand_in) = self.keep_for_viewers(id, has_jumped) else {
             self.active_cells.insert(id, old);
             return false;
         };

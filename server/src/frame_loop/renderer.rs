@@ -340,13 +340,11 @@ impl SkyRenderer {
             }
         }
         keys.extend(self.clouds_keys(scene, blend));
-        if self.somebody_looks_down() {
-            let above = self.above_keys(scene);
-            for haze in self.clouds_asked() {
-                keys.extend(above.iter().map(|key| clouds_key(*key, haze)));
-            }
-            keys.extend(above);
+        let of_sides = self.side_keys(scene, &self.sides_of_viewers());
+        for haze in self.clouds_asked() {
+            keys.extend(of_sides.iter().map(|key| clouds_key(*key, haze)));
         }
+        keys.extend(of_sides);
         if scene.physical_air().is_some() {
             keys.extend(table_keys());
         }

@@ -1,5 +1,5 @@
 //! The screen-space renderer's work for one viewer: frames of a temporal window, or samples of a single picture, in strips
-//! of rows, so that the device can serve others in between.
+//! of rows, so that the device can serve others in between. For who is in a layer and reads the cache, of that layer's near part.
 
 use super::passes::ground_radius_m;
 use super::renderer::SkyRenderer;
@@ -11,7 +11,7 @@ use crate::march::{
     layer_features,
 };
 use glam::DVec3;
-use skycell_protocol::{CellId, RendererKind, ViewerId};
+use skycell_protocol::{Camera, CellId, ViewerId};
 use skycell_shaders::layout;
 
 /// How screen-space pictures come about.
@@ -58,10 +58,17 @@ impl EyeJob {
 pub(super) struct ScreenSpaceJob {
     /// One, or the left and the right one, of which a sample is complete together.
     eyes: Vec<EyeJob>,
+    /// The layers that are marched, by their places among the active ones.
+    layers: Vec<u32>,
+    /// The camera of what is shown, and that of what is under way.
+    camera: Camera,
+    next_camera: Camera,
+    /// Whether there is something to show.
+    is_shown: bool,
     /// Whole samples, or frames, since the view or the scene changed.
     sample: u32,
     eye: usize,
-    layer: u32,
+    layer: usize,
     row: u32,
 }
 
@@ -69,8 +76,13 @@ pub(super) struct ScreenSpaceJob {
 const FIRST_ROWS: u32 = 16;
 
 impl ScreenSpaceJob {
-    /// A picture of which nothing is marched yet. `view` is that of the picture; rays are as many as its pixels.
-    pub(super) fn new(eyes: impl IntoIterator<Item = (MarchedPixels, layout::View)>) -> Self {
+    /// A picture of which nothing is marched yet, of some of the active layers. `view` is that of the picture; rays are as many as
+    /// its pixels.
+    pub(super) fn new(
+        camera: Camera,
+        layers: Vec<u32>,
+        eyes: impl IntoIterator<Item = (MarchedPixels, layout::View)>,
+    ) -> Self {
         let eyes = eyes.into_iter().map(|(marched, view)| EyeJob {
             marched,
             view,
@@ -79,6 +91,10 @@ impl ScreenSpaceJob {
         });
         Self {
             eyes: eyes.collect(),
+            layers,
+            camera,
+            next_camera: camera,
+            is_shown: false,
             sample: 0,
             eye: 0,
             layer: 0,
@@ -88,6 +104,17 @@ impl ScreenSpaceJob {
 
     pub(super) fn eyes(&self) -> &[EyeJob] {
         &self.eyes
+    }
+
+    /// The layers that are marched.
+    #[cfg(test)]
+    pub(super) fn marched_layers(&self) -> &[u32] {
+        &self.layers
+    }
+
+    /// The camera of what is shown, where there is something.
+    pub(super) fn shown_from(&self) -> Option<Camera> {
+        self.is_shown.then_some(self.camera)
     }
 
     fn window(&self) -> Option<&JobWindow> {
@@ -101,7 +128,8 @@ impl ScreenSpaceJob {
     }
 
     /// What the next frame shows, if something else than before. What is under way is given up.
-    fn look(&mut self, views: &[layout::View]) {
+    fn look(&mut self, camera: Camera, views: &[layout::View]) {
+        self.next_camera = camera;
         for (eye, view) in self.eyes.iter_mut().zip(views) {
             eye.next_view = *view;
         }
@@ -116,7 +144,7 @@ impl SkyRenderer {
     /// Whether a screen-space viewer's picture lacks samples.
     pub(super) fn screen_space_pending(&self, id: ViewerId) -> bool {
         self.viewers.get(&id).is_some_and(|viewer| {
-            viewer.kind == RendererKind::ScreenSpace
+            self.marches_pixels(viewer)
                 && viewer.screen_space.as_ref().is_none_or(|job| {
                     job.sample < job.samples_wanted(viewer.quality.settings.samples)
                 })
@@ -140,10 +168,12 @@ impl SkyRenderer {
         };
         let views = self.views_of(&viewer);
         let place = self.place_of(&viewer);
+        let layers = self.layers_marched_for(&viewer);
+        let camera = viewer.view.camera;
         let goes_on = match (&mut viewer.screen_space, views, place) {
             (Some(job), Some(views), Some((cell, frame))) => match job.window() {
-                Some(own) if own.cell == cell && own.frame == frame => {
-                    job.look(&views);
+                Some(own) if own.cell == cell && own.frame == frame && job.layers == layers => {
+                    job.look(camera, &views);
                     true
                 }
                 _ => false,
@@ -161,7 +191,9 @@ impl SkyRenderer {
     pub(super) fn scene_changed_for_screen_space(&mut self, same_layers: bool) {
         for viewer in self.viewers.values_mut() {
             match &mut viewer.screen_space {
-                Some(job) if job.window().is_some() && same_layers => job.look(&[]),
+                Some(job) if job.window().is_some() && same_layers => {
+                    job.look(job.next_camera, &[])
+                }
                 job => *job = None,
             }
         }
@@ -183,9 +215,11 @@ impl SkyRenderer {
     fn new_job(&self, viewer: &ActiveViewer) -> Option<ScreenSpaceJob> {
         let views = self.views_of(viewer)?;
         let (cell, frame) = self.place_of(viewer)?;
-        let (size, layers) = (viewer.view.size, self.active.len());
+        let marched_layers = self.layers_marched_for(viewer);
+        let (size, layers) = (viewer.view.size, marched_layers.len());
         let marched = || MarchedPixels::new(&self.gpu, &self.pipelines, size, layers, None);
-        let mut job = ScreenSpaceJob::new(views.into_iter().map(|view| (marched(), view)));
+        let eyes = views.into_iter().map(|view| (marched(), view));
+        let mut job = ScreenSpaceJob::new(viewer.view.camera, marched_layers, eyes);
         if let Some(plan) = self.window_plan(viewer)
             && layers > 0
         {
@@ -210,7 +244,10 @@ impl SkyRenderer {
         let Some(mut viewer) = self.viewers.remove(&id) else {
             return false;
         };
-        let layers = self.active.len() as u32;
+        let marched = self.layers_marched_for(&viewer);
+        if (viewer.screen_space.as_ref()).is_some_and(|job| job.layers != marched) {
+            viewer.screen_space = None;
+        }
         if viewer.screen_space.is_none() {
             viewer.screen_space = self.new_job(&viewer);
         }
@@ -218,38 +255,34 @@ impl SkyRenderer {
         let samples = viewer.quality.settings.samples;
         if let Some(job) = &mut viewer.screen_space {
             let wanted = job.samples_wanted(samples);
-            if layers == 0 {
+            if job.layers.is_empty() {
                 for eye in &mut job.eyes {
                     eye.view = eye.next_view;
                 }
+                (job.camera, job.is_shown) = (job.next_camera, true);
                 job.sample = wanted;
                 complete = true;
             } else if job.sample < wanted {
-                complete = self.march_strip(viewer.cell, job, budget_ns, layers);
+                complete = self.march_strip(viewer.cell, job, budget_ns);
             }
         }
         self.viewers.insert(id, viewer);
         complete
     }
 
-    /// The wind's drifts of the layers that are shown.
-    fn active_drifts(&self) -> Vec<DVec3> {
-        self.active
+    /// The wind's drifts of layers that are marched.
+    fn drifts_of(&self, layers: &[u32]) -> Vec<DVec3> {
+        let drift = |layer: &u32| {
+            let active = self.active.get(*layer as usize)?;
+            self.drifts.get(active.scene_index).copied()
+        };
+        layers
             .iter()
-            .map(|layer| {
-                let drift = self.drifts.get(layer.scene_index);
-                drift.copied().unwrap_or_default()
-            })
+            .map(|layer| drift(layer).unwrap_or_default())
             .collect()
     }
 
-    fn march_strip(
-        &mut self,
-        cell: CellId,
-        job: &mut ScreenSpaceJob,
-        budget_ns: u64,
-        layers: u32,
-    ) -> bool {
+    fn march_strip(&mut self, cell: CellId, job: &mut ScreenSpaceJob, budget_ns: u64) -> bool {
         let Some(eye) = job.eyes.get_mut(job.eye) else {
             return false;
         };
@@ -267,12 +300,19 @@ impl SkyRenderer {
         };
         let left = height - job.row;
         let rows = rows.next_multiple_of(8).clamp(8, left.max(8)).min(left);
-        let scene_index = self.active[job.layer as usize].scene_index;
+        let Some(layer) = job.layers.get(job.layer).copied() else {
+            return false;
+        };
+        let Some(active) = self.active.get(layer as usize) else {
+            return false;
+        };
+        let scene_index = active.scene_index;
         let features = layer_features(&self.scene, scene_index, &self.cell_settings(cell));
         let mut view = eye.next_view;
         view.jitter = f32::from(u8::from(self.settings.jitter));
         view.first_row = job.row;
-        view.layer = job.layer;
+        view.layer = layer;
+        view.place = job.layer as u32;
         view.sample_index = job.sample;
         view.sample_is_first = u32::from(job.sample == 0);
         view.sample_weight = 1.0 / (job.sample + 1) as f32;
@@ -304,7 +344,7 @@ impl SkyRenderer {
         }
         job.row = 0;
         job.layer += 1;
-        if job.layer < layers {
+        if job.layer < job.layers.len() {
             return false;
         }
         job.layer = 0;
@@ -314,19 +354,20 @@ impl SkyRenderer {
         }
         job.eye = 0;
         job.sample += 1;
+        (job.camera, job.is_shown) = (job.next_camera, true);
+        let drifts = self.drifts_of(&job.layers);
         for eye in &mut job.eyes {
             eye.view = eye.next_view;
-            self.resolve(eye);
+            self.resolve(eye, &drifts);
         }
         true
     }
 
     /// Sums an eye's window up for the view that is shown.
-    fn resolve(&mut self, job: &mut EyeJob) {
-        let drifts = self.active_drifts();
+    fn resolve(&mut self, job: &mut EyeJob, drifts: &[DVec3]) {
         let Some(own) = &mut job.window else { return };
-        own.window.complete(&job.view, &drifts);
-        let window = own.window.shown(&job.view, &drifts);
+        own.window.complete(&job.view, drifts);
+        let window = own.window.shown(&job.view, drifts);
         // The composite looks up no clouds in the rows below.
         let rows = ground_radius_m(&self.scene, &self.active, &job.view)
             .map_or(job.view.height, |radius_m| {

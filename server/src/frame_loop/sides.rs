@@ -8,14 +8,15 @@ use super::cells_on_device::ActiveCell;
 use super::clouds::of_codec;
 use super::interface::ViewRequest;
 use super::renderer::{SkyRenderer, frame_key};
-use super::transitions::PICTURES_BYTES_MAX;
 use super::viewers_on_device::ActiveViewer;
 use crate::cells::Storeys;
-use crate::composite::{PictureFade, dither_shift, with_above, with_parallax};
+use crate::composite::{ground_key, with_above, with_inside, with_parallax};
 use crate::config::FrameFilter;
 use crate::gpu::PipelineKey;
-use crate::march::{LayerBlend, Side, active_layers, layer_bounds_m};
-use skycell_protocol::{Camera, CellId, Codec, RendererKind, Scene, ViewerId};
+use crate::march::{LayerBlend, REACH_M, Side, active_layers, layer_bounds_m, near_layers};
+use glam::DVec3;
+use skycell_protocol::{CellId, Codec, RendererKind, Scene};
+use std::time::{Duration, Instant};
 
 /// From rays back to the cache, a camera goes this far out of a layer, m.
 const RETURN_MARGIN_M: f64 = 50.0;
@@ -23,82 +24,14 @@ const RETURN_MARGIN_M: f64 = 50.0;
 /// sheets are thin.
 const RETURN_SHARE: f64 = 0.1;
 
-/// From rays of its own to the cache a viewer at rest goes in this time, s.
-const RENDERER_FADE_S: f64 = 1.0;
+/// A viewer at a boundary of a layer reads the cache when it has been on its side for so long: who goes to and fro there keeps
+/// rays of its own.
+const SIDE_KEPT: Duration = Duration::from_secs(1);
 
-/// A viewer's way from rays of its own to the cache: its last picture of them goes into those of the cache.
-pub(super) struct RendererFade {
-    fade: PictureFade,
-    /// Share of the cache's picture.
-    share: f64,
-    /// Of the kept picture, where it shows clouds alone.
-    pre_exposure: f32,
-    /// From where the last picture was seen. Motion hides the change, and it would be seen twice.
-    camera: Camera,
-}
+/// In a layer the cache holds no farther from its reference than this share of where the far part begins.
+const IN_LAYER_SHARE: f64 = 0.5;
 
 impl SkyRenderer {
-    /// Keeps a viewer's last picture by rays, to be mixed with those of the cache that follow. None where it has none.
-    pub(super) fn renderer_fade(&mut self, id: ViewerId) -> Option<RendererFade> {
-        let viewer = self.viewers.get(&id)?;
-        let bytes = PictureFade::bytes_of(viewer.view.picture_size(), viewer.picture.format());
-        let is_seen = viewer.frames_composited > 0
-            && viewer.shown_camera == viewer.view.camera
-            && viewer.transition.is_none();
-        if !is_seen || self.fade_bytes() + bytes > PICTURES_BYTES_MAX {
-            return None;
-        }
-        let fade = PictureFade::new(&self.gpu, &self.pipelines, &viewer.picture);
-        let label = Some("keep a picture");
-        let descriptor = wgpu::CommandEncoderDescriptor { label };
-        let mut encoder = self.gpu.device.create_command_encoder(&descriptor);
-        let (from, to) = (viewer.picture.pixels(), fade.old().pixels());
-        encoder.copy_buffer_to_buffer(from, 0, to, 0, to.size());
-        let camera = viewer.shown_camera;
-        let pre_exposure = self.pre_exposure_in(viewer.cell);
-        self.submit(encoder);
-        Some(RendererFade {
-            fade,
-            share: 0.0,
-            pre_exposure,
-            camera,
-        })
-    }
-
-    /// Lets time pass for viewers between rays and cache. Returns those whose frames show something else for that.
-    pub(super) fn pass_renderer_fades(&mut self, passed_s: f64) -> Vec<ViewerId> {
-        let mut changed = Vec::new();
-        for (id, viewer) in &mut self.viewers {
-            let Some(mut way) = viewer.renderer_fade.take() else {
-                continue;
-            };
-            changed.push(*id);
-            way.share += passed_s / RENDERER_FADE_S;
-            let stays = viewer.kind == RendererKind::Cached
-                && viewer.transition.is_none()
-                && viewer.view.camera == way.camera
-                && viewer.picture.eyes() == way.fade.old().eyes();
-            viewer.renderer_fade = Some(way).filter(|way| stays && way.share < 1.0);
-        }
-        changed
-    }
-
-    /// Records the mix of the last picture by rays into that of the cache.
-    pub(super) fn record_renderer_fade(
-        &mut self,
-        encoder: &mut wgpu::CommandEncoder,
-        viewer: &ActiveViewer,
-    ) {
-        if let Some(way) = &viewer.renderer_fade {
-            let (gpu, pipelines) = (&self.gpu, &self.pipelines);
-            let shift = dither_shift(viewer.view.codec);
-            let old_scale = self.pre_exposure_in(viewer.cell) / way.pre_exposure;
-            let timing = &mut self.timing;
-            (way.fade).record(gpu, encoder, timing, pipelines, way.share, shift, old_scale);
-            self.counters.dispatches += 1;
-        }
-    }
-
     /// On which side of each layer an altitude is.
     pub(super) fn sides_at(&self, altitude_m: f64) -> Vec<Side> {
         let bounds_m = layer_bounds_m(&self.scene, &self.active);
@@ -121,29 +54,92 @@ impl SkyRenderer {
         })
     }
 
-    /// The renderer for a view. The cache of a layer holds on the side of it on which its rays start, below or above: in a
-    /// layer a viewer gets rays of its own. `before`: the one that made its frames so far; from rays back to the cache it goes
+    /// Whether the far part is kept of layers that rays start in. Where layers are on domes anyway, it is not.
+    pub(super) fn keeps_far_parts(&self) -> bool {
+        !self.kept_on.has_domes()
+    }
+
+    /// The layers of which a cell keeps the far part alone, since its rays start in them: one bit for each.
+    pub(super) fn near_layers_of(&self, cell: &ActiveCell) -> u32 {
+        let anchors: Vec<DVec3> = (0..self.active.len())
+            .map(|layer| self.anchor_m(cell, layer))
+            .collect();
+        near_layers(&self.proxies, &self.active, &cell.frame, &anchors)
+    }
+
+    /// Whether a viewer reads the cache of a cell in a layer, so that the near part of that is marched for it.
+    pub(super) fn marches_near(&self, viewer: &ActiveViewer) -> bool {
+        let cell = self.active_cells.get(&viewer.cell);
+        viewer.kind == RendererKind::Cached
+            && cell.is_some_and(|cell| self.near_layers_of(cell) != 0)
+    }
+
+    /// Whether rays of a viewer's own are part of its frames.
+    pub(super) fn marches_pixels(&self, viewer: &ActiveViewer) -> bool {
+        viewer.kind == RendererKind::ScreenSpace || self.marches_near(viewer)
+    }
+
+    /// The layers, among the active ones, that rays of a viewer's own go through.
+    pub(super) fn layers_marched_for(&self, viewer: &ActiveViewer) -> Vec<u32> {
+        let layers = 0..self.active.len() as u32;
+        let cell = self.active_cells.get(&viewer.cell);
+        match (viewer.kind, cell) {
+            (RendererKind::Cached, Some(cell)) => {
+                let near = self.near_layers_of(cell);
+                layers.filter(|layer| near >> layer & 1 == 1).collect()
+            }
+            (RendererKind::Cached, None) => Vec::new(),
+            (RendererKind::ScreenSpace, _) => layers.collect(),
+        }
+    }
+
+    /// Whether a viewer who has come to a side of a layer at some time can be taken to stay there: it is well away from where that
+    /// begins, or has been there for a while.
+    pub(super) fn is_there_to_stay(
+        &self,
+        viewer: &ActiveViewer,
+        since: Instant,
+        now: Instant,
+    ) -> bool {
+        let altitude_m = viewer.view.camera.position_m()[1];
+        let bounds_m = layer_bounds_m(&self.scene, &self.active);
+        let is_away = bounds_m.into_iter().all(|[base_m, top_m]| {
+            let margins_m =
+                [base_m, top_m - base_m].map(|m| (RETURN_SHARE * m).min(RETURN_MARGIN_M));
+            (altitude_m - base_m).abs() >= margins_m[0]
+                && (altitude_m - top_m).abs() >= margins_m[1]
+        });
+        is_away || now.duration_since(since) >= SIDE_KEPT
+    }
+
+    /// The renderer for a view. The cache of a layer holds on the side of it on which its rays start: below, above or in it. Where
+    /// its far part is not kept, a viewer in a layer gets rays of its own. `before`: the one that made its frames so far; from rays back to the cache it goes
     /// a little farther than the other way, so that a camera on the boundary does not change between them all the time.
     pub(super) fn kind_of(&self, view: &ViewRequest, before: Option<RendererKind>) -> RendererKind {
         let altitude_m = view.camera.position_m()[1];
         let comes_out = before == Some(RendererKind::ScreenSpace);
-        if self.is_between_layers(altitude_m, comes_out) {
+        if self.keeps_far_parts() || self.is_between_layers(altitude_m, comes_out) {
             view.renderer
         } else {
             RendererKind::ScreenSpace
         }
     }
 
-    /// Whether the caches of a cell hold for an eye at an altitude: it is on the side of each layer on which their rays start.
-    pub(super) fn reaches(&self, cell: &ActiveCell, altitude_m: f64) -> bool {
-        let sides = self.sides_at(altitude_m);
-        !sides.contains(&Side::Within) && sides == self.sides_at(cell.reference_m.y)
+    /// Whether the caches of a cell hold for an eye: it is on the side of each layer on which their rays start, and in a layer
+    /// near there.
+    pub(super) fn reaches(&self, cell: &ActiveCell, eye_m: [f64; 3]) -> bool {
+        let eye_m = DVec3::from_array(eye_m);
+        let sides = self.sides_at(eye_m.y);
+        let is_held = !sides.contains(&Side::Within)
+            || (self.keeps_far_parts()
+                && eye_m.distance(cell.reference_m) <= IN_LAYER_SHARE * REACH_M);
+        is_held && sides == self.sides_at(cell.reference_m.y)
     }
 
     /// The same of a cell by its number.
-    pub(super) fn is_reached(&self, cell: CellId, altitude_m: f64) -> bool {
+    pub(super) fn is_reached(&self, cell: CellId, eye_m: [f64; 3]) -> bool {
         let cell = self.active_cells.get(&cell);
-        cell.is_some_and(|cell| self.reaches(cell, altitude_m))
+        cell.is_some_and(|cell| self.reaches(cell, eye_m))
     }
 
     /// Whether some layer is below an altitude.
@@ -151,13 +147,15 @@ impl SkyRenderer {
         self.sides_at(altitude_m).contains(&Side::Above)
     }
 
-    /// Whether a layer's anchor is on the side of the layer on which rays start. In the layer nothing is kept of it.
+    /// Whether a layer's anchor is on the side of the layer on which rays start. Where nothing is kept of a layer that they start
+    /// in, any is.
     pub(super) fn is_anchored_aright(&self, cell: &ActiveCell, layer: usize) -> bool {
         let bounds_m = layer_bounds_m(&self.scene, &self.active);
         bounds_m.get(layer).is_some_and(|between_m| {
-            let starts = Side::of(*between_m, cell.reference_m.y);
-            let anchor_m = cell.frame.altitude_m(self.anchor_m(cell, layer));
-            starts == Side::Within || starts == Side::of(*between_m, anchor_m)
+            let reference = cell.frame.from_world(cell.reference_m);
+            let [starts, stands] = [reference, self.anchor_m(cell, layer)]
+                .map(|place| Side::of(*between_m, cell.frame.altitude_m(place)));
+            starts == stands || (starts == Side::Within && !self.keeps_far_parts())
         })
     }
 
@@ -167,19 +165,28 @@ impl SkyRenderer {
         self.cells.set_storeys(Storeys::of(&bounds_m));
     }
 
-    /// What frames of a scene need that look down on a layer.
-    pub(super) fn above_keys(&self, scene: &Scene) -> Vec<PipelineKey> {
+    /// What frames of a scene need that look down on a layer, or from within one.
+    pub(super) fn side_keys(&self, scene: &Scene, sides: &[Side]) -> Vec<PipelineKey> {
         let blend = LayerBlend::of(scene, &active_layers(scene), &self.kept_on);
+        let looks_down = sides.contains(&Side::Above);
+        let is_in = sides.contains(&Side::Within) && self.keeps_far_parts();
         let of_filter = |filter| {
-            let above = with_above(frame_key(&self.gpu, scene, filter, blend, false));
-            [above, with_parallax(above)]
+            let key = frame_key(&self.gpu, scene, filter, blend, false);
+            let above = looks_down.then(|| with_above(key));
+            let inside = is_in.then(|| with_inside(key));
+            let mut keys = Vec::new();
+            for key in above.into_iter().chain(inside) {
+                keys.extend([key, with_parallax(key)]);
+            }
+            keys.extend(inside.map(ground_key));
+            keys
         };
         FrameFilter::ALL.into_iter().flat_map(of_filter).collect()
     }
 
     /// The same as a view's codec needs it.
-    fn above_keys_of(&self, view: &ViewRequest) -> Vec<PipelineKey> {
-        let mut keys = self.above_keys(&self.scene);
+    fn side_keys_of(&self, view: &ViewRequest, sides: &[Side]) -> Vec<PipelineKey> {
+        let mut keys = self.side_keys(&self.scene, sides);
         if view.codec == Codec::Clouds {
             let alone = |key: &PipelineKey| of_codec(*key, view.codec, view.haze);
             let alone: Vec<PipelineKey> = keys.iter().map(alone).collect();
@@ -188,29 +195,39 @@ impl SkyRenderer {
         keys
     }
 
-    /// Whether some viewer looks down on a layer, or is about to.
-    pub(super) fn somebody_looks_down(&self) -> bool {
-        let bounds_m = layer_bounds_m(&self.scene, &self.active);
-        self.viewers.values().any(|viewer| {
-            let altitude_m = viewer.view.camera.position_m()[1];
-            viewer.view.renderer == RendererKind::Cached
-                && (bounds_m.iter()).any(|between| Side::of(*between, altitude_m) != Side::Below)
-        })
+    /// The sides of layers on which viewers are that read the cache, or are about to.
+    pub(super) fn sides_of_viewers(&self) -> Vec<Side> {
+        let cached = |viewer: &&ActiveViewer| viewer.view.renderer == RendererKind::Cached;
+        let viewers = self.viewers.values().filter(cached);
+        let mut sides: Vec<Side> = viewers
+            .flat_map(|viewer| self.sides_about(viewer.view.camera.position_m()[1]))
+            .collect();
+        sides.dedup();
+        sides
     }
 
-    /// Whether the pipelines of a view's frames are there. Those of viewers above a layer are made when the first comes there.
+    /// The sides of layers on which an altitude is; who is in a layer is about to be above it.
+    fn sides_about(&self, altitude_m: f64) -> Vec<Side> {
+        let mut sides = self.sides_at(altitude_m);
+        if sides.contains(&Side::Within) {
+            sides.push(Side::Above);
+        }
+        sides
+    }
+
+    /// Whether the pipelines of a view's frames are there. Those of viewers above or in a layer are made when the first comes
+    /// there.
     pub(super) fn can_be_shown(&self, view: &ViewRequest) -> bool {
-        let altitude_m = view.camera.position_m()[1];
+        let sides = self.sides_at(view.camera.position_m()[1]);
         let is_made = |key: PipelineKey| self.pipelines.get(key).is_some();
-        !self.looks_down(altitude_m) || self.above_keys_of(view).into_iter().all(is_made)
+        self.side_keys_of(view, &sides).into_iter().all(is_made)
     }
 
-    /// Has the pipelines of a view that is about to look down on a layer made, beside the frames.
-    pub(super) fn prepare_above(&mut self, view: &ViewRequest) {
-        let altitude_m = view.camera.position_m()[1];
-        let sides = self.sides_at(altitude_m);
-        if view.renderer == RendererKind::Cached && sides.iter().any(|side| *side != Side::Below) {
-            let keys = self.above_keys_of(view);
+    /// Has the pipelines of a view that looks down on a layer, or is in one, made beside the frames.
+    pub(super) fn prepare_sides(&mut self, view: &ViewRequest) {
+        if view.renderer == RendererKind::Cached {
+            let sides = self.sides_about(view.camera.position_m()[1]);
+            let keys = self.side_keys_of(view, &sides);
             self.pipelines.prepare_later(&self.gpu, keys);
         }
     }

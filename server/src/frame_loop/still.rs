@@ -243,7 +243,11 @@ impl StillRenderer {
         // Light shafts are seen from one place, too.
         renderer.shafts.eye = list.rays.first().map(|ray| ray.origin_m);
         let viewer = renderer.viewers.get_mut(&VIEWER).ok_or_else(gone)?;
-        viewer.screen_space = Some(ScreenSpaceJob::new([(marched, view)]));
+        viewer.screen_space = Some(ScreenSpaceJob::new(
+            at_frame,
+            (0..layers as u32).collect(),
+            [(marched, view)],
+        ));
         self.march_all(true, progress)?;
         let (display, linear) = self.composites(list.size, true, settings)?;
         let renderer = &self.renderer;
@@ -466,6 +470,16 @@ impl StillRenderer {
             renderer.gpu.wait()?;
         }
         renderer.make_light_shafts(BATCH_TILES)?;
+        let viewer = renderer.viewers.get(&VIEWER);
+        if !screen_space && viewer.is_some_and(|viewer| renderer.marches_near(viewer)) {
+            // The near part of a layer that the viewer is in.
+            renderer.refresh_cells();
+            renderer.restart_screen_space(VIEWER);
+            while renderer.screen_space_pending(VIEWER) {
+                renderer.march_screen_space(VIEWER, STRIP_NS);
+                renderer.gpu.wait()?;
+            }
+        }
         if screen_space {
             let samples = f64::from(renderer.caches.samples());
             let mut done = 0.0;

@@ -1,15 +1,12 @@
 //! Viewers of one cell while simulated time passes: what wind and turning heads cost, without a clock.
 
 use super::auditing::AuditedTexel;
-use super::interface::ViewRequest;
 use super::still::{BATCH_TILES, StillRenderer};
 use super::still_settings::StillSettings;
-use crate::cells::{CellLimit, Cells};
-use crate::composite::{Picture, composite_key, ground_key, with_parallax};
-use crate::gpu::{GpuError, PipelineKey, read_buffer_blocking};
+use crate::composite::{Picture, ground_key, with_parallax};
+use crate::gpu::{GpuError, read_buffer_blocking};
 use crate::march::AUDIT_TEXELS_MAX;
-use skycell_protocol::{Camera, FrameSize, InputSequence, RendererKind, Scene, ViewerId};
-use skycell_shaders::Features;
+use skycell_protocol::{Camera, FrameSize, InputSequence, Scene, ViewerId};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -36,33 +33,13 @@ impl StillRenderer {
         let renderer = &mut self.renderer;
         renderer.is_living = true;
         renderer.wind_is_searched = settings.parallax_steps > 0;
-        let before: Vec<ViewerId> = renderer.viewers.keys().copied().collect();
-        for id in before {
-            renderer.leave(id);
-        }
-        renderer.cells = Cells::new(&[], CellLimit::default());
-        let ids: Vec<ViewerId> = (1..).map(ViewerId).take(cameras.len()).collect();
-        for (id, camera) in ids.iter().zip(cameras) {
-            let view = ViewRequest {
-                size,
-                fps: 1.0,
-                codec: settings.codec,
-                jpeg_quality: 100,
-                camera: *camera,
-                renderer: RendererKind::Cached,
-                quality: None,
-                show: settings.show,
-                stereo: None,
-                haze: true,
-            };
-            renderer.join(*id, view);
-        }
+        let ids = self.join_together(cameras, size, settings);
         let viewers = LivingViewers {
             ids,
             size,
             settings: *settings,
         };
-        let key = self.living_key(&viewers);
+        let key = self.key_together(settings);
         let renderer = &mut self.renderer;
         for key in [key, with_parallax(key)] {
             renderer.pipelines.prepare(&renderer.gpu, key)?;
@@ -71,25 +48,6 @@ impl StillRenderer {
         // They come together to where their mean is.
         renderer.regroup(0.0);
         Ok(viewers)
-    }
-
-    fn living_key(&self, viewers: &LivingViewers) -> PipelineKey {
-        let renderer = &self.renderer;
-        let blend = renderer.blend();
-        let key = composite_key(
-            &renderer.scene,
-            viewers.settings.filter,
-            blend,
-            false,
-            false,
-        );
-        PipelineKey {
-            features: Features {
-                shared_background: viewers.settings.shared_background,
-                ..key.features
-            },
-            ..key
-        }
     }
 
     /// Marches until nothing is left to do, as the sky is now.
@@ -179,7 +137,7 @@ impl StillRenderer {
     ) -> Result<Vec<u8>, GpuError> {
         let gone = || GpuError::Device("the viewer of the picture is gone".into());
         let id = *viewers.ids.get(viewer).ok_or_else(gone)?;
-        let key = self.living_key(viewers);
+        let key = self.key_together(&viewers.settings);
         let renderer = &mut self.renderer;
         let active = renderer.viewers.get(&id).ok_or_else(gone)?;
         let keys = renderer.keys_for(active, active.cell, key);

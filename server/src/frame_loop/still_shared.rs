@@ -1,14 +1,12 @@
 //! Several viewers of one cell without a server: what sharing costs and saves.
 
-use super::interface::{CellStats, ViewRequest};
+use super::interface::CellStats;
 use super::still::StillRenderer;
 use super::still_settings::StillSettings;
-use crate::cells::{CellLimit, Cells};
-use crate::composite::{Picture, composite_key, ground_key};
-use crate::gpu::{GpuError, PipelineKey, TimedPass, read_buffer_blocking};
+use crate::composite::{Picture, ground_key};
+use crate::gpu::{GpuError, TimedPass, read_buffer_blocking};
 use serde::{Deserialize, Serialize};
-use skycell_protocol::{Camera, FrameSize, RendererKind, ViewerId};
-use skycell_shaders::Features;
+use skycell_protocol::{Camera, FrameSize};
 use std::time::Instant;
 
 /// What the pictures of several viewers took, from empty caches until nothing was left to do.
@@ -50,33 +48,9 @@ impl StillRenderer {
         mut progress: impl FnMut(f64),
     ) -> Result<SharedFigures, GpuError> {
         self.begin(settings)?;
+        let ids = self.join_together(cameras, size, settings);
+        let key = self.key_together(settings);
         let renderer = &mut self.renderer;
-        renderer.cells = Cells::new(&[], CellLimit::default());
-        let ids: Vec<ViewerId> = (1..).map(ViewerId).take(cameras.len()).collect();
-        for (id, camera) in ids.iter().zip(cameras) {
-            let view = ViewRequest {
-                size,
-                fps: 1.0,
-                codec: settings.codec,
-                jpeg_quality: 100,
-                camera: *camera,
-                renderer: RendererKind::Cached,
-                quality: None,
-                show: settings.show,
-                stereo: None,
-                haze: true,
-            };
-            renderer.join(*id, view);
-        }
-        let blend = renderer.blend();
-        let key = composite_key(&renderer.scene, settings.filter, blend, false, false);
-        let key = PipelineKey {
-            features: Features {
-                shared_background: settings.shared_background,
-                ..key.features
-            },
-            ..key
-        };
         renderer.pipelines.prepare(&renderer.gpu, key)?;
         renderer.pipelines.prepare(&renderer.gpu, ground_key(key))?;
         let before = renderer.stats(0.0).totals;

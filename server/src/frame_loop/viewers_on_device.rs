@@ -4,12 +4,13 @@ use super::cells_on_device::parallax_steps;
 use super::interface::ViewRequest;
 use super::qualities::ViewerQuality;
 use super::renderer::SkyRenderer;
+use super::renderer_fade::RendererFade;
 use super::screen_space::ScreenSpaceJob;
-use super::sides::RendererFade;
 use super::transitions::Transition;
 use crate::cache::{LEVELS, TEXELS_PER_TILE, TileRequest};
 use crate::composite::{Picture, PictureFormat, dither_shift, view_frustum, view_uniform};
 use crate::gpu::{Gpu, Pipelines, ReadbackRing};
+use crate::march::{REACH_FADE_M, REACH_M, Side};
 use skycell_protocol::{Camera, CellId, InputSequence, RendererKind, ViewerId};
 use skycell_shaders::layout;
 use std::time::{Duration, Instant};
@@ -34,7 +35,7 @@ pub(super) struct ActiveViewer {
     pub(super) kind: RendererKind,
     /// Since when the cache is being made for it, while rays of its own still make its frames.
     pub(super) approaches: Option<Instant>,
-    /// Its way from there to the cache.
+    /// Its way from rays to the cache or back.
     pub(super) renderer_fade: Option<RendererFade>,
     pub(super) quality: ViewerQuality,
     pub(super) requests: Vec<Vec<TileRequest>>,
@@ -95,8 +96,12 @@ impl SkyRenderer {
     pub(super) fn join(&mut self, id: ViewerId, view: ViewRequest) {
         let cell = self.place(id, &view.camera);
         let kind = self.kind_of(&view, None);
-        let waits = kind == RendererKind::Cached && !self.can_be_shown(&view);
-        self.prepare_above(&view);
+        // In a layer rays show something at once.
+        let is_within = self
+            .sides_at(view.camera.position_m()[1])
+            .contains(&Side::Within);
+        let waits = kind == RendererKind::Cached && (is_within || !self.can_be_shown(&view));
+        self.prepare_sides(&view);
         let viewer = ActiveViewer {
             kind: if waits {
                 RendererKind::ScreenSpace
@@ -127,11 +132,14 @@ impl SkyRenderer {
     pub(super) fn choose_renderer(&mut self, id: ViewerId, view: &ViewRequest) {
         let before = self.viewers.get(&id).map(|viewer| viewer.kind);
         let kind = self.kind_of(view, before);
-        self.prepare_above(view);
+        self.prepare_sides(view);
         let cell = self.viewers.get(&id).map(|viewer| viewer.cell);
-        let altitude_m = view.camera.position_m()[1];
+        let eye_m = view.camera.position_m();
         let is_shown =
-            cell.is_some_and(|cell| self.is_reached(cell, altitude_m)) && self.can_be_shown(view);
+            cell.is_some_and(|cell| self.is_reached(cell, eye_m)) && self.can_be_shown(view);
+        let goes_to_rays = before == Some(RendererKind::Cached)
+            && (kind == RendererKind::ScreenSpace || !is_shown);
+        let fade = goes_to_rays.then(|| self.renderer_fade(id)).flatten();
         let Some(viewer) = self.viewers.get_mut(&id) else {
             return;
         };
@@ -145,13 +153,15 @@ impl SkyRenderer {
                 viewer.screen_space = None;
                 viewer.forget_requests();
                 viewer.approaches = None;
+                viewer.renderer_fade = fade;
             }
             (RendererKind::Cached, RendererKind::Cached) if !is_shown => {
-                // It has come through a layer in one step.
+                // It has come into a layer, out of one or through one.
                 viewer.kind = RendererKind::ScreenSpace;
                 viewer.screen_space = None;
                 viewer.forget_requests();
                 viewer.approaches = Some(Instant::now());
+                viewer.renderer_fade = fade;
             }
             _ => viewer.approaches = None,
         }
@@ -167,7 +177,8 @@ impl SkyRenderer {
                     let has_requests = viewer.requests.len() == self.proxies.len();
                     let is_late = now.duration_since(since) > APPROACH_MAX;
                     has_requests
-                        && self.is_reached(viewer.cell, viewer.view.camera.position_m()[1])
+                        && self.is_reached(viewer.cell, viewer.view.camera.position_m())
+                        && self.is_there_to_stay(viewer, since, now)
                         && self.can_be_shown(&viewer.view)
                         && self.coarse_is_ready(viewer.cell)
                         && (is_late || !self.is_coarse(viewer.cell, &viewer.requests))
@@ -188,9 +199,17 @@ impl SkyRenderer {
     }
 
     pub(super) fn set_camera(&mut self, id: ViewerId, input: InputSequence, camera: Camera) {
+        let Some(before) = self.viewers.get(&id).map(|viewer| viewer.view.camera) else {
+            return;
+        };
+        let [was_m, is_m] = [before, camera].map(|camera| camera.position_m()[1]);
+        let changes_sides = self.sides_at(was_m) != self.sides_at(is_m);
         let Some(viewer) = self.viewers.get_mut(&id) else {
             return;
         };
+        if changes_sides && viewer.approaches.is_some() {
+            viewer.approaches = Some(Instant::now());
+        }
         viewer.view.camera = camera;
         viewer.input = input;
         viewer.forget_requests();
@@ -265,6 +284,15 @@ impl SkyRenderer {
         let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
         view.dither_shift = dither_shift(viewer.view.codec);
         let domes = self.kept_on.has_domes();
+        if viewer.kind == RendererKind::Cached {
+            view.near_layers = self.near_layers_of(cell);
+        }
+        if view.near_layers != 0 {
+            let starts = cell.frame.from_world(cell.reference_m);
+            view.reach_from = starts.as_vec3().to_array();
+            view.reach_m = REACH_M as f32;
+            view.reach_fade_m = REACH_FADE_M as f32;
+        }
         view.parallax_steps = parallax_steps(&self.scene, &self.active, domes, viewer, eye, cell);
         for (proxy, requests) in requests.iter().enumerate().take(view.tables.len()) {
             let finest = requests.iter().map(|r| r.key.level).max().unwrap_or(0);

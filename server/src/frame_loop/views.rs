@@ -7,7 +7,7 @@ use super::renderer::{SkyRenderer, frame_key};
 use super::viewers_on_device::ActiveViewer;
 use crate::composite::{
     CompositeInputs, InspectionInputs, Inspections, Picture, ground_key, inspect_key, shown_key,
-    shown_of, with_above, with_parallax,
+    shown_of, with_above, with_inside, with_parallax,
 };
 use crate::gpu::PipelineKey;
 use crate::march::layer_features;
@@ -69,6 +69,9 @@ impl SkyRenderer {
             if self.looks_down(viewer.view.camera.position_m()[1]) {
                 composites.extend([cached, with_parallax(cached)].map(with_above));
             }
+            if self.marches_near(viewer) {
+                composites.extend([cached, with_parallax(cached)].map(with_inside));
+            }
         }
         if !shown.is_of_cache() {
             composites.push(self.composite_by(viewer, RendererKind::ScreenSpace));
@@ -112,7 +115,9 @@ impl SkyRenderer {
         } else {
             composite
         };
-        if self.looks_down(viewer.view.camera.position_m()[1]) {
+        if self.near_layers_of(on_device) != 0 {
+            with_inside(composite)
+        } else if self.looks_down(viewer.view.camera.position_m()[1]) {
             with_above(composite)
         } else {
             composite

@@ -33,6 +33,8 @@ pub struct Pipelines {
     pub audit_layout: wgpu::BindGroupLayout,
     /// Group 2 of the composite: page tables and atlas.
     pub cached_layout: wgpu::BindGroupLayout,
+    /// The same for viewers in a layer: and the marched pixels of its near part.
+    pub inside_layout: wgpu::BindGroupLayout,
     /// Group 2 of the screen-space march: marched pixels, to write.
     pub pixels_layout: wgpu::BindGroupLayout,
     /// Group 2 of the screen-space composite: marched pixels, to read.
@@ -223,6 +225,19 @@ impl Pipelines {
             sampled(D2, true),
             SAMPLER,
         ];
+        let cached = [
+            wgpu::BindingType::Texture {
+                sample_type: wgpu::TextureSampleType::Uint,
+                view_dimension: D2,
+                multisampled: false,
+            },
+            sampled(D2Array, true),
+            sampled(D2Array, true),
+            SAMPLER,
+            sampled(D2, false),
+        ];
+        let [tables, radiance, distance, sampler, origins] = cached;
+        let near_and_far = [tables, radiance, distance, sampler, origins, storage(true)];
         let words = blue_noise_words();
         let blue_noise = buffer("blue noise", size_of_val(words.as_slice()) as u64);
         gpu.queue
@@ -286,21 +301,8 @@ impl Pipelines {
                     storage(false),
                 ],
             ),
-            cached_layout: layout(
-                gpu,
-                "cached",
-                &[
-                    wgpu::BindingType::Texture {
-                        sample_type: wgpu::TextureSampleType::Uint,
-                        view_dimension: D2,
-                        multisampled: false,
-                    },
-                    sampled(D2Array, true),
-                    sampled(D2Array, true),
-                    SAMPLER,
-                    sampled(D2, false),
-                ],
-            ),
+            cached_layout: layout(gpu, "cached", &cached),
+            inside_layout: layout(gpu, "cached and marched", &near_and_far),
             pixels_layout: layout(gpu, "pixels", &[storage(false), storage(false)]),
             marched_layout: layout(gpu, "marched", &[storage(true)]),
             picture_layout: layout(gpu, "picture", &[uniform(), storage(false), storage(true)]),
@@ -489,6 +491,8 @@ impl Pipelines {
                 },
                 if key.features.screen_space {
                     &self.marched_layout
+                } else if key.features.inside {
+                    &self.inside_layout
                 } else {
                     &self.cached_layout
                 },

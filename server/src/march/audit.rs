@@ -34,6 +34,7 @@ pub fn audit_key(layer: Features) -> PipelineKey {
             linear_output: false,
             screen_space: false,
             above: true,
+            inside: true,
             count_reads: false,
             ..layer
         },

@@ -242,27 +242,48 @@ impl CellBuffers {
         }
         let (tables, sampler) = (&self.tables, &self.sampler);
         let (_, group) = self.cached_group.get_or_insert_with(|| {
-            let [radiance, distance] = atlas.views();
-            let tables_view = tables.create_view(&wgpu::TextureViewDescriptor::default());
-            let origins = atlas.origins_view();
-            let resources = [
-                wgpu::BindingResource::TextureView(&tables_view),
-                wgpu::BindingResource::TextureView(&radiance),
-                wgpu::BindingResource::TextureView(&distance),
-                wgpu::BindingResource::Sampler(sampler),
-                wgpu::BindingResource::TextureView(&origins),
-            ];
-            let entries: Vec<_> = (0..)
-                .zip(resources)
-                .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
-                .collect();
-            let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("cached"),
-                layout: &pipelines.cached_layout,
-                entries: &entries,
-            });
-            (version, group)
+            let layout = &pipelines.cached_layout;
+            (
+                version,
+                cached_group(gpu, layout, tables, sampler, atlas, None),
+            )
         });
         group
     }
+
+    /// The same for a viewer in a layer, whose near part is in `marched`.
+    #[must_use]
+    pub fn inside_group(
+        &self,
+        gpu: &Gpu,
+        pipelines: &Pipelines,
+        atlas: &Atlas,
+        marched: &wgpu::Buffer,
+    ) -> wgpu::BindGroup {
+        let (tables, sampler) = (&self.tables, &self.sampler);
+        let layout = &pipelines.inside_layout;
+        cached_group(gpu, layout, tables, sampler, atlas, Some(marched))
+    }
+}
+
+fn cached_group(
+    gpu: &Gpu,
+    layout: &wgpu::BindGroupLayout,
+    tables: &wgpu::Texture,
+    sampler: &wgpu::Sampler,
+    atlas: &Atlas,
+    marched: Option<&wgpu::Buffer>,
+) -> wgpu::BindGroup {
+    let [radiance, distance] = atlas.views();
+    let tables = tables.create_view(&wgpu::TextureViewDescriptor::default());
+    let origins = atlas.origins_view();
+    let mut resources = vec![
+        wgpu::BindingResource::TextureView(&tables),
+        wgpu::BindingResource::TextureView(&radiance),
+        wgpu::BindingResource::TextureView(&distance),
+        wgpu::BindingResource::Sampler(sampler),
+        wgpu::BindingResource::TextureView(&origins),
+    ];
+    resources.extend(marched.map(wgpu::Buffer::as_entire_binding));
+    gpu.bind_group("cached", layout, &resources)
 }

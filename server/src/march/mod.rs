@@ -5,6 +5,7 @@ mod audit;
 mod blue_noise;
 mod cell_buffers;
 mod frame;
+mod inside;
 mod night;
 mod pattern;
 mod pixels;
@@ -14,6 +15,7 @@ mod settings;
 mod sides;
 mod sky;
 mod sun_columns;
+mod surface;
 mod texels;
 mod uniforms;
 mod window;
@@ -24,17 +26,19 @@ pub use audit::{AUDIT_PLACES, AUDIT_TEXELS_MAX, AuditGroup, AuditMarch, audit_ke
 pub use blue_noise::{BLUE_NOISE_SIZE, blue_noise_words};
 pub use cell_buffers::CellBuffers;
 pub use frame::CellFrame;
+pub use inside::{FarPart, REACH_FADE_M, REACH_M, near_layers};
 pub use pattern::{FramePlace, WINDOW_FRAMES_MAX, window_places};
 pub use pixels::{LISTED_VALUES, MarchedPixels, PixelStrip, pixels_key};
 pub use proxies::{
     BANDS, BandEnds, DOME_FOLLOW_M, Dome, PROXIES_MAX, PROXIES_PER_LAYER_MAX, Proxy, ProxySettings,
-    ProxySetup, SlabsWithDomes, Surface, keep_places, look_where_clouds_are, proxies_of,
+    ProxySetup, SlabsWithDomes, keep_places, look_where_clouds_are, proxies_of,
 };
 pub use resample::{ResampleGroup, ResampledTile, record_resample, resample_key};
 pub use settings::MarchSettings;
 pub use sides::{Side, layer_bounds_m};
 pub use sky::{SkyLight, sky_light, sun_angular_radius_rad};
 pub use sun_columns::{SunBinding, SunVolumeTexture, sun_columns_key, without_own};
+pub use surface::Surface;
 pub use texels::{BATCH_TILES_MAX, TexelGroup, TexelMarch, texels_key};
 pub use uniforms::{
     ActiveLayer, EXPOSURE_AT_ZERO_EV, LayerBlend, active_layers, drift_m_per_s, grid_first_slices,

@@ -4,6 +4,8 @@
 #[cfg(test)]
 mod tests;
 
+use super::inside::FarPart;
+use super::surface::Surface;
 use super::{ActiveLayer, CellFrame};
 use crate::field::{CloudHeights, Slab};
 use glam::DVec3;
@@ -24,7 +26,7 @@ pub const BANDS: NumberRange = NumberRange::new(2.0, PROXIES_PER_LAYER_MAX as f6
 /// How far a reference may go before a dome follows it, m.
 pub const DOME_FOLLOW_M: NumberRange = NumberRange::new(1.0, 4_000.0);
 /// Farther than any ray goes, m.
-const FAR_M: f64 = 1e30;
+pub(super) const FAR_M: f64 = 1e30;
 /// A layer counts as this far above or below an anchor at least, m.
 const HEIGHT_MIN_M: f64 = 100.0;
 
@@ -170,104 +172,6 @@ impl ProxySettings {
     }
 }
 
-/// From above, rays from an anchor that pass over its shell have their places no nearer than this share of the way to where a
-/// ray touches the shell.
-const LEAST_SHARE: f64 = 0.25;
-/// A point that is so far over a shell is not on it, m.
-const BEYOND_MIN_M: f64 = 0.1;
-
-/// Where texels lie.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Surface {
-    /// On a sphere about the planet.
-    Shell {
-        /// Its altitude, m.
-        altitude_m: f64,
-    },
-    /// On such a sphere as it is seen from an anchor above it, and where rays from the anchor pass over it, where they come
-    /// closest to it (`geometry/surface.wgsl`).
-    ShellFromAbove {
-        /// Its altitude, m.
-        altitude_m: f64,
-        /// Beyond its rim no place is nearer than this, m.
-        least_m: f64,
-    },
-    /// On a sphere about their anchor.
-    Dome {
-        /// Its radius, m.
-        radius_m: f64,
-    },
-}
-
-impl Surface {
-    /// A shell at an altitude about an anchor: seen from above where the anchor is higher.
-    #[must_use]
-    pub fn shell(frame: &CellFrame, anchor: DVec3, altitude_m: f64) -> Self {
-        let height_m = frame.altitude_m(anchor) - altitude_m;
-        if height_m > 0.0 {
-            let from_centre_m = 2.0 * (frame.planet_radius_m() + altitude_m) + height_m;
-            Self::ShellFromAbove {
-                altitude_m,
-                least_m: LEAST_SHARE * (height_m * from_centre_m).sqrt(),
-            }
-        } else {
-            Self::Shell { altitude_m }
-        }
-    }
-
-    /// Its normal at one of its points.
-    #[must_use]
-    pub fn normal(&self, frame: &CellFrame, anchor: DVec3, point: DVec3) -> DVec3 {
-        match *self {
-            Self::ShellFromAbove { altitude_m, .. }
-                if frame.altitude_m(point) > altitude_m + BEYOND_MIN_M =>
-            {
-                let centre = 0.5 * (anchor - DVec3::Y * frame.planet_radius_m());
-                (point - centre).normalize_or(DVec3::Y)
-            }
-            Self::Shell { .. } | Self::ShellFromAbove { .. } => frame.up(point),
-            Self::Dome { .. } => (point - anchor).normalize_or_zero(),
-        }
-    }
-
-    /// How far along a unit direction it is from a point inside it or above it, m.
-    #[must_use]
-    pub fn distance_m(
-        &self,
-        frame: &CellFrame,
-        anchor: DVec3,
-        from: DVec3,
-        direction: DVec3,
-    ) -> f64 {
-        match *self {
-            Self::Shell { altitude_m } => frame.distance_to_shell_m(from, direction, altitude_m),
-            Self::ShellFromAbove {
-                altitude_m,
-                least_m,
-            } => {
-                let near_m = frame.shell_roots_m(from, direction, altitude_m);
-                let seen_m = near_m.map(|[near_m, _]| near_m).filter(|near_m| {
-                    let point = from + direction * near_m;
-                    *near_m > 0.0 && (anchor - point).dot(frame.up(point)) >= 0.0
-                });
-                seen_m.unwrap_or_else(|| {
-                    let from_anchor = from - anchor;
-                    let from_centre = from + DVec3::Y * frame.planet_radius_m();
-                    let b = 0.5 * (direction.dot(from_anchor) + direction.dot(from_centre));
-                    let c = from_anchor.dot(from_centre);
-                    ((b * b - c).max(0.0).sqrt() - b).max(least_m)
-                })
-            }
-            Self::Dome { radius_m } => {
-                let from = from - anchor;
-                let b = direction.dot(from);
-                let c = from.length_squared() - radius_m * radius_m;
-                (b * b - c).max(0.0).sqrt() - b
-            }
-        }
-    }
-}
-
 /// A dome in heights of its layer above the anchor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dome {
@@ -321,6 +225,12 @@ pub struct Proxy {
     pub scene_index: usize,
     /// Altitude of a shell; of a dome, the mean altitude of its layer's clouds, m.
     pub altitude_m: f64,
+    /// Base and top of the layer, m.
+    pub layer_m: [f64; 2],
+    /// Which of the layer's parts it is, and of how many.
+    pub part: u32,
+    /// As many.
+    pub parts: u32,
     /// Altitudes between which rays are marched, m.
     pub between_m: [f64; 2],
     /// The dome that it is, where it is none of the shells.
@@ -339,12 +249,21 @@ impl Proxy {
     /// Whether rays go down to it about an anchor.
     #[must_use]
     pub fn is_from_above(&self, frame: &CellFrame, anchor: DVec3) -> bool {
-        frame.altitude_m(anchor) > self.altitude_m
+        frame.altitude_m(anchor) > self.altitude_m && self.far_part(frame, anchor).is_none()
+    }
+
+    /// Altitudes between which it is marched about an anchor, m.
+    #[must_use]
+    pub fn altitudes_m(&self, frame: &CellFrame, anchor: DVec3) -> [f64; 2] {
+        (self.far_part(frame, anchor)).map_or(self.between_m, |_| self.layer_m)
     }
 
     /// Where its texels lie about an anchor in a cell's frame.
     #[must_use]
     pub fn surface(&self, frame: &CellFrame, anchor: DVec3) -> Surface {
+        if let Some(FarPart { radius_m, .. }) = self.far_part(frame, anchor) {
+            return Surface::Dome { radius_m };
+        }
         match self.dome {
             None => Surface::shell(frame, anchor, self.altitude_m),
             Some(dome) => Surface::Dome {
@@ -356,6 +275,9 @@ impl Proxy {
     /// Distances from where rays start between which it keeps something, m; None where it keeps all.
     #[must_use]
     pub fn band_m(&self, frame: &CellFrame, anchor: DVec3) -> Option<[f64; 2]> {
+        if let Some(FarPart { near_m, far_m, .. }) = self.far_part(frame, anchor) {
+            return Some([near_m, far_m]);
+        }
         let dome = self
             .dome
             .filter(|dome| dome.between[0] > 0.0 || dome.between[1] < FAR_M)?;
@@ -373,31 +295,40 @@ impl Proxy {
                 of(dome).map(|heights| (heights * height_m).min(FAR_M))
             })
         };
-        let [near_m, far_m] = distances(|dome| dome.between).map(|m| m as f32);
+        let far_part = self.far_part(frame, anchor);
+        let between_m = far_part.map_or_else(
+            || distances(|dome| dome.between),
+            |part| [part.near_m, part.far_m],
+        );
+        let [near_m, far_m] = between_m.map(|m| m as f32);
+        let gaps_m = far_part.map_or_else(|| distances(|dome| dome.between_gaps), |_| between_m);
+        let [near_gap_m, far_gap_m] = gaps_m.map(|m| m as f32);
         let [radius_m, least_m] = match self.surface(frame, anchor) {
             Surface::Shell { .. } => [0.0, 0.0],
             Surface::ShellFromAbove { least_m, .. } => [0.0, least_m],
             Surface::Dome { radius_m } => [radius_m, 0.0],
         };
-        let [near_gap_m, far_gap_m] = distances(|dome| dome.between_gaps).map(|m| m as f32);
+        let [low_m, high_m] = self.altitudes_m(frame, anchor);
+        let seen_m = far_part.map_or(self.seen_between_m, |_| self.layer_m);
         layout::Proxy {
             anchor: anchor.as_vec3().to_array(),
             altitude_m: self.altitude_m as f32,
             part: layout::Part {
-                low_altitude_m: self.between_m[0] as f32,
-                high_altitude_m: self.between_m[1] as f32,
+                low_altitude_m: low_m as f32,
+                high_altitude_m: high_m as f32,
                 near_m,
                 far_m,
                 near_gap_m,
                 far_gap_m,
-                ..Default::default()
+                full_near_m: far_part.map_or(0.0, |part| part.full_near_m as f32),
+                full_far_m: FAR_M as f32,
             },
             layer: self.layer as u32,
             radius_m: radius_m as f32,
             from_above: u32::from(self.is_from_above(frame, anchor)),
             least_m: least_m as f32,
-            seen_low_altitude_m: self.seen_between_m[0] as f32,
-            seen_high_altitude_m: self.seen_between_m[1] as f32,
+            seen_low_altitude_m: seen_m[0] as f32,
+            seen_high_altitude_m: seen_m[1] as f32,
             ..Default::default()
         }
     }
@@ -434,6 +365,9 @@ pub fn proxies_of(scene: &Scene, active: &[ActiveLayer], settings: &ProxySetting
                 } else {
                     altitude_m(shell, slab.mean)
                 },
+                layer_m: [shell.base_altitude_m(), shell.top_altitude_m()],
+                part,
+                parts,
                 between_m,
                 seen_between_m: between_m,
                 dome,

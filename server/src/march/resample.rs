@@ -17,6 +17,7 @@ pub fn resample_key(domes: bool, parallax: bool) -> PipelineKey {
             catmull_rom: true,
             domes,
             above: true,
+            inside: true,
             parallax: domes && parallax,
             ..Features::default()
         },

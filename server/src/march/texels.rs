@@ -28,6 +28,7 @@ pub fn texels_key(layer: Features) -> PipelineKey {
             linear_output: false,
             screen_space: false,
             above: true,
+            inside: true,
             ..layer
         },
     }

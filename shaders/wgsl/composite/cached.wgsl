@@ -2,7 +2,7 @@
 #import skycell::octahedral::octahedral_from_direction
 #import skycell::shell::{altitude_m, shell_roots}
 #import skycell::surface::{surface_point, surface_distance_m}
-#ifdef DOMES
+#ifdef DISTANCES
 #import skycell::surface::dome_distance_m
 #endif
 #import skycell::scene::Proxy
@@ -228,7 +228,7 @@ fn searched_altitudes(planet_radius_m: f32, eye: View, proxy: Proxy, starts: vec
 #endif
 }
 
-#ifdef DOMES
+#ifdef DISTANCES
 /// Farther than any cloud is seen, m.
 const FARTHEST_M: f32 = 2e6;
 
@@ -240,6 +240,31 @@ fn searched_distances_m(eye: View, proxy: Proxy, starts: vec3f, direction: vec3f
     let near_m = max(dome_distance_m(distances_m.x, from_start, direction), 0.0);
     let far_m = max(dome_distance_m(distances_m.y, from_start, direction), 0.0);
     return vec2f(near_m, far_m);
+}
+#endif
+
+#ifdef INSIDE
+/// Whether a viewer is in the layer of which a proxy keeps the far part.
+fn is_around(proxy: Proxy) -> bool {
+    return proxy.radius_m > 0.0;
+}
+
+/// In a layer a ray may go on for hundreds of kilometres: places on it are even as they are seen from beside it, by one over the
+/// distance, 1/km, less than 0 so that the nearer is the less one.
+fn place_at_m(distance_m: f32) -> f32 {
+    return -1e3 / max(distance_m, 1.0);
+}
+
+/// Ends of a viewer's way through what lies far in the layer that it is in.
+fn way_in_layer(planet_radius_m: f32, eye: View, proxy: Proxy, starts: vec3f, direction: vec3f) -> Way {
+    let along = searched_distances_m(eye, proxy, starts, direction);
+    let top = shell_roots(planet_radius_m, proxy.part.high_altitude_m, eye.position, eye.altitude_m, direction);
+    let base = shell_roots(planet_radius_m, proxy.part.low_altitude_m, eye.position, eye.altitude_m, direction);
+    let ground = shell_roots(planet_radius_m, 0.0, eye.position, eye.altitude_m, direction);
+    // A ray that passes over the horizon comes up to the layer again.
+    let goes_down = base.hit && base.near_m > 0.0 && ground.hit && ground.near_m > 0.0;
+    let leaves_m = select(top.far_m, base.near_m, goes_down);
+    return Way(place_at_m(along.x), place_at_m(max(min(along.y, leaves_m), along.x)));
 }
 #endif
 
@@ -263,7 +288,13 @@ fn way_through(planet_radius_m: f32, eye: View, proxy: Proxy, starts: vec3f, dir
     far_m = clamp(along.y, near_m, far_m);
 #endif
     let is_above = proxy.from_above > 0u;
-    return Way(select(between.x, near_m, is_above), select(between.y, far_m, is_above));
+    let way = Way(select(between.x, near_m, is_above), select(between.y, far_m, is_above));
+#ifdef INSIDE
+    let in_layer = way_in_layer(planet_radius_m, eye, proxy, starts, direction);
+    return Way(select(way.near, in_layer.near, is_around(proxy)), select(way.far, in_layer.far, is_around(proxy)));
+#else
+    return way;
+#endif
 #else
     return Way(between.x, between.y);
 #endif
@@ -271,6 +302,9 @@ fn way_through(planet_radius_m: f32, eye: View, proxy: Proxy, starts: vec3f, dir
 
 /// A place of a viewer's way.
 fn point_at_place(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f, place: f32) -> vec3f {
+#ifdef INSIDE
+    if is_around(proxy) { return eye.position + direction * (-1e3 / min(place, -1e-4)); }
+#endif
 #ifdef ABOVE
     if proxy.from_above > 0u { return eye.position + direction * place; }
 #endif
@@ -279,6 +313,9 @@ fn point_at_place(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3
 
 /// The place of a point beside a viewer's ray.
 fn place_beside(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f, point: vec3f) -> f32 {
+#ifdef INSIDE
+    if is_around(proxy) { return place_at_m(dot(point - eye.position, direction)); }
+#endif
 #ifdef ABOVE
     if proxy.from_above > 0u { return dot(point - eye.position, direction); }
 #endif
@@ -379,7 +416,7 @@ fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hi
 #endif
 }
 
-#if PROXIES >= 2
+#ifdef PARTS
 /// One part of a layer in front of another.
 fn in_front_of(front: LayerRadiance, back: LayerRadiance) -> LayerRadiance {
     let kept = front.transmittance;
@@ -396,6 +433,9 @@ fn in_front_of(front: LayerRadiance, back: LayerRadiance) -> LayerRadiance {
     );
 }
 
+#endif
+
+#if PROXIES >= 2
 #ifndef DOMES
 /// Two parts as an eye sees them: from above the upper one, the second, hides the lower one.
 fn both_parts(first: LayerRadiance, second: LayerRadiance, from_above: bool) -> LayerRadiance {
@@ -412,7 +452,7 @@ fn both_parts(first: LayerRadiance, second: LayerRadiance, from_above: bool) -> 
 #endif
 #endif
 
-#if PROXIES >= 2
+#ifdef PARTS
 /// What lets less through than this hides what is behind: half a step of what is shown.
 const HIDING_TRANSMITTANCE: f32 = 2e-3;
 

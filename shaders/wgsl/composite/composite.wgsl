@@ -40,6 +40,9 @@
 #import skycell::surface::surface_point
 #else
 #import skycell::cached::cached_layer
+#ifdef INSIDE
+#import skycell::cached::{in_front_of, hides_next}
+#endif
 #ifdef CACHE_READS
 #import skycell::cached::cache_reads
 #endif
@@ -66,7 +69,14 @@ const VALUES: u32 = 7u;
 #else
 const VALUES: u32 = 5u;
 #endif
+#endif
+#ifdef INSIDE
+/// The same of the near part of the layers that the viewer is in.
+@group(2) @binding(5) var<storage, read> marched: array<f32>;
+const VALUES: u32 = 5u;
+#endif
 
+#ifdef MARCHED
 /// The marched pixel at a column and row.
 fn marched_pixel(eye: View, layer_index: u32, pixel: vec2u) -> LayerRadiance {
     let at = ((layer_index * eye.height + pixel.y) * eye.width + pixel.x) * VALUES;
@@ -85,9 +95,26 @@ fn layer_radiance(world: Scene, eye: View, layer: Layer, layer_index: u32, pixel
     return LayerRadiance(seen * cloud.single, seen * cloud.octaves, seen * cloud.ambient, transmittance, seen * cloud.opacity_distance_m);
 }
 #else
+#ifdef INSIDE
+/// The near part of a layer that the viewer is in, nothing of others.
+fn near_part(eye: View, layer_index: u32, pixel: vec2u) -> LayerRadiance {
+    let bit = 1u << layer_index;
+    let place = countOneBits(eye.near_layers & (bit - 1u));
+    let near = marched_pixel(eye, place, pixel);
+    let is_in = (eye.near_layers & bit) != 0u;
+    return LayerRadiance(
+        select(0.0, near.single, is_in),
+        select(0.0, near.octaves, is_in),
+        select(0.0, near.ambient, is_in),
+        select(1.0, near.transmittance, is_in),
+        select(0.0, near.opacity_distance_m, is_in),
+    );
+}
+#endif
+
 /// What the viewer sees of one layer along a ray. Texels straddle the horizon; the viewer's own ray decides whether the
 /// ground hides the layer.
-fn layer_radiance(world: Scene, eye: View, layer: Layer, kept: array<Kept, #{PROXIES}>, ray: Ray) -> LayerRadiance {
+fn layer_radiance(world: Scene, eye: View, layer: Layer, layer_index: u32, kept: array<Kept, #{PROXIES}>, pixel: vec2u, ray: Ray) -> LayerRadiance {
     let hidden = hidden_by_ground(ray, layer.base_altitude_m);
 #ifdef SHOW_CACHE
     // Of the nearest part.
@@ -95,7 +122,12 @@ fn layer_radiance(world: Scene, eye: View, layer: Layer, kept: array<Kept, #{PRO
     let on_surface = surface_point(world.planet.radius_m, proxy, eye.position, eye.altitude_m, ray.direction);
     return cached_entry(kept[0].table, on_surface - proxy.anchor, hidden);
 #else
+#ifdef INSIDE
+    let near = near_part(eye, layer_index, pixel);
+    var cloud = in_front_of(near, cached_layer(world.planet.radius_m, eye, kept, ray.direction, hidden || hides_next(near, false)));
+#else
     var cloud = cached_layer(world.planet.radius_m, eye, kept, ray.direction, hidden);
+#endif
 #ifdef PHASE_OF_REFERENCE
     var marched_ray = ray;
     marched_ray.direction = marched_direction(world.planet.radius_m, eye, kept[0], ray.direction);
@@ -231,7 +263,10 @@ fn ordered_layer(world: Scene, back: Background, layer: Layer, cloud: LayerRadia
     ordered.rank = distance_seen_m(cloud.opacity_distance_m, cloud.transmittance);
 #else
     let altitude = layer.proxy_altitude_m;
-    ordered.rank = select(-altitude, ABOVE_RANK + altitude, altitude >= ray.origin_altitude_m);
+    let is_in = ray.origin_altitude_m >= layer.base_altitude_m && ray.origin_altitude_m <= layer.top_altitude_m;
+    let rank = select(-altitude, ABOVE_RANK + altitude, altitude >= ray.origin_altitude_m);
+    // A ray begins in the layer that its eye is in.
+    ordered.rank = select(rank, -ABOVE_RANK, is_in);
 #endif
     return ordered;
 }
@@ -320,7 +355,7 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
 #ifdef SCREEN_SPACE
     let first_cloud = layer_radiance(world, eye, world.layers[0], 0u, pixel, ray);
 #else
-    let first_cloud = layer_radiance(world, eye, world.layers[0], kept_first(world, eye), ray);
+    let first_cloud = layer_radiance(world, eye, world.layers[0], 0u, kept_first(world, eye), pixel, ray);
 #endif
 #ifdef HAZE_OF_SPHERES
     var first = ordered_layer(world, back, back.first_haze, world.layers[0], first_cloud, ray);
@@ -331,7 +366,7 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
 #ifdef SCREEN_SPACE
     let second_cloud = layer_radiance(world, eye, world.layers[1], 1u, pixel, ray);
 #else
-    let second_cloud = layer_radiance(world, eye, world.layers[1], kept_second(world, eye), ray);
+    let second_cloud = layer_radiance(world, eye, world.layers[1], 1u, kept_second(world, eye), pixel, ray);
 #endif
 #ifdef HAZE_OF_SPHERES
     var second = ordered_layer(world, back, back.second_haze, world.layers[1], second_cloud, ray);
@@ -346,7 +381,7 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
 #ifdef SCREEN_SPACE
     let third_cloud = layer_radiance(world, eye, world.layers[2], 2u, pixel, ray);
 #else
-    let third_cloud = layer_radiance(world, eye, world.layers[2], kept_third(world, eye), ray);
+    let third_cloud = layer_radiance(world, eye, world.layers[2], 2u, kept_third(world, eye), pixel, ray);
 #endif
 #ifdef HAZE_OF_SPHERES
     var third = ordered_layer(world, back, back.third_haze, world.layers[2], third_cloud, ray);
@@ -363,7 +398,7 @@ fn ray_radiance(world: Scene, eye: View, back: Background, pixel: vec2u, ray: Ra
 #ifdef SCREEN_SPACE
     let fourth_cloud = layer_radiance(world, eye, world.layers[3], 3u, pixel, ray);
 #else
-    let fourth_cloud = layer_radiance(world, eye, world.layers[3], kept_fourth(world, eye), ray);
+    let fourth_cloud = layer_radiance(world, eye, world.layers[3], 3u, kept_fourth(world, eye), pixel, ray);
 #endif
 #ifdef HAZE_OF_SPHERES
     var fourth = ordered_layer(world, back, back.fourth_haze, world.layers[3], fourth_cloud, ray);

@@ -44,6 +44,17 @@ struct View {
     picture_width: u32,
     /// Which of them is the view's first.
     first_column: u32,
+    /// Where rays end that only go through the near part of a layer (screen-space renderer): at this distance, m, ...
+    reach_m: f32,
+    /// ... over this way, in which there is less and less of the layer in them, m. 0: they go on to the end.
+    reach_fade_m: f32,
+    /// Among what is marched, the place of the layer that a pass marches.
+    place: u32,
+    /// One bit for each layer whose near part is marched for this view.
+    near_layers: u32,
+    /// ... from here.
+    reach_from: vec3f,
+    pad_end: f32,
 }
 
 /// A ray of a picture that is no pinhole camera's, in the frame of its cell.

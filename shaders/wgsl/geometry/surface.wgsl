@@ -3,7 +3,8 @@
 #import skycell::shell::{ShellRoots, shell_roots}
 
 // The surface on which a proxy's texels lie: a shell at an altitude about the planet, or a dome, which is a sphere about the
-// proxy's anchor. Whoever asks stands inside it, or above a shell that is seen from above.
+// proxy's anchor. Whoever asks stands inside it, or above a shell that is seen from above. Of a layer that rays start in, the
+// far part is kept on a dome, whatever others are kept on.
 
 /// How far along a unit direction a sphere about the origin of coordinates is, m. Roots of t² + 2 b t + c = 0 with b = d·p and
 /// c = (|p| - r)(|p| + r), which is negative inside: of q and c / q the one in front. From outside a ray that misses the
@@ -45,9 +46,15 @@ fn surface_distance_m(planet_radius_m: f32, proxy: Proxy, origin: vec3f, origin_
     let sphere = shell_roots(planet_radius_m, proxy.altitude_m, origin, origin_altitude_m, direction);
 #ifdef ABOVE
     let from_above_m = distance_from_above_m(planet_radius_m, proxy, origin, sphere, direction);
-    return select(max(sphere.far_m, 1e-3), from_above_m, proxy.from_above > 0u);
+    let on_shell_m = select(max(sphere.far_m, 1e-3), from_above_m, proxy.from_above > 0u);
 #else
-    return max(sphere.far_m, 1e-3);
+    let on_shell_m = max(sphere.far_m, 1e-3);
+#endif
+#ifdef INSIDE
+    let on_dome_m = max(dome_distance_m(proxy.radius_m, origin - proxy.anchor, direction), 1e-3);
+    return select(on_shell_m, on_dome_m, proxy.radius_m > 0.0);
+#else
+    return on_shell_m;
 #endif
 #endif
 }

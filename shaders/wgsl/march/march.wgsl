@@ -329,7 +329,14 @@ fn surroundings(ray: RayScene, layer: Layer, position: vec3f, up: vec3f, samples
 
 /// All of a layer.
 fn whole(layer: Layer) -> Part {
-    return Part(layer.base_altitude_m, layer.top_altitude_m, 0.0, 1e30, 0.0, 1e30, 0.0, 0.0);
+    return Part(layer.base_altitude_m, layer.top_altitude_m, 0.0, 1e30, 0.0, 1e30, 0.0, 1e30);
+}
+
+/// Share of the density that a part has at a distance, 0...1.
+fn share_at(part: Part, distance_m: f32) -> f32 {
+    let from_near = (part.full_near_m - distance_m) / max(part.full_near_m - part.near_m, 1.0);
+    let from_far = (distance_m - part.full_far_m) / max(part.far_m - part.full_far_m, 1.0);
+    return saturate(1.0 - max(from_near, from_far));
 }
 
 #ifdef BANDS
@@ -410,7 +417,7 @@ fn march_layer(layer_index: u32, part: Part, origin: vec3f, direction: vec3f, st
         let start_m = select(intervals.first_start_m, intervals.second_start_m, is_second);
         let distance_m = start_m + (select(i, i - counts.x, is_second) + start_fraction) * length_m;
         let position = origin + direction * distance_m;
-        let density = sheet_density(layer, position.xz);
+        let density = sheet_density(layer, position.xz) * share_at(part, distance_m);
         let optical_depth = density * layer.extinction_per_m * length_m;
         let opacity = optical_depth * one_minus_exp_over(optical_depth);
         let weight = transmittance * opacity;
@@ -553,7 +560,7 @@ fn march_layer(layer_index: u32, part: Part, origin: vec3f, direction: vec3f, st
             }
             if distance_m >= end_m || probes >= PROBES_MAX { break; }
             let detail_weight = saturate(2.0 - distance_m * DETAIL_ANGLE_RAD / detail_voxel_m);
-            density = carved_density(layer, position, altitude, height_fraction, profile, detail_weight);
+            density = carved_density(layer, position, altitude, height_fraction, profile, detail_weight) * share_at(part, distance_m);
 #ifdef WINDOW
             if (density > 0.0 || lights_empty) && (share < 1.0 || refinement <= 1.0) { break; }
             probes += 1u;
@@ -589,7 +596,7 @@ fn march_layer(layer_index: u32, part: Part, origin: vec3f, direction: vec3f, st
             position = origin + direction * distance_m;
             altitude = altitude_m(ray.planet_radius_m, position);
             height_fraction = saturate((altitude - layer.base_altitude_m) / thickness_m);
-            density = bounded_density(layer, position, altitude);
+            density = bounded_density(layer, position, altitude) * share_at(part, distance_m);
 #ifdef WINDOW
             if (density > 0.0 || lights_empty) && (share < 1.0 || refinement <= 1.0) { break; }
             probes += 1u;

@@ -1,5 +1,7 @@
 // One ray per pixel of one viewer: the screen-space renderer.
 #import skycell::march::{scene, march_layer, whole, sample_offset, sample_start_fraction, LayerRadiance}
+#import skycell::scene::Part
+#import skycell::surface::dome_distance_m
 #import skycell::view::{View, ListedRay, pixel_direction}
 #ifdef RAY_LIST
 #import skycell::march::{steps_taken, optical_depth_seen}
@@ -36,6 +38,17 @@ const VALUES: u32 = 7u;
 const VALUES: u32 = 5u;
 #endif
 
+/// How much of its layer a ray goes through: all of it, or what is near. That ends on a sphere about where the rays of the far
+/// part start, so that nothing is in both or in neither, wherever the eye is in it.
+fn marched_part(eye: View, origin: vec3f, direction: vec3f) -> Part {
+    var part = whole(scene.layers[eye.layer]);
+    let is_near = eye.reach_fade_m > 0.0;
+    let end_m = dome_distance_m(eye.reach_m, origin - eye.reach_from, direction);
+    part.far_m = select(part.far_m, end_m, is_near);
+    part.full_far_m = select(part.full_far_m, end_m - eye.reach_fade_m, is_near);
+    return part;
+}
+
 #ifdef COUNT_READS
 fn count() {
     let reads_before = atomicAdd(&read_counter[0], texture_reads);
@@ -58,10 +71,11 @@ fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
     let spread = window.spread;
     step_scale = window.step_scale;
     refinement = window.refinement;
-    let at = ((view.layer * window.frames + newest) * size.y + texel.y) * size.x + texel.x;
+    let at = ((view.place * window.frames + newest) * size.y + texel.y) * size.x + texel.x;
     if texel.x >= size.x || texel.y >= size.y { return; }
     let moved = shifted(place, blue_noise_shift(blue_noise[blue_noise_index(pixel)]));
-    ring[at] = packed(march_layer(view.layer, whole(scene.layers[view.layer]), view.position, pixel_direction(view, pixel + 0.5 + spread * (moved.xy - 0.5)), moved.z));
+    let direction = pixel_direction(view, pixel + 0.5 + spread * (moved.xy - 0.5));
+    ring[at] = packed(march_layer(view.layer, marched_part(view, view.position, direction), view.position, direction, moved.z));
 #ifdef COUNT_READS
     count();
 #endif
@@ -84,8 +98,8 @@ fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
 #endif
     // Without jitter every sample stands in the middle of its step.
     let start = mix(0.5, sample_start_fraction(vec2f(pixel), view.sample_index), view.jitter);
-    let sample = march_layer(view.layer, whole(scene.layers[view.layer]), origin, direction, start);
-    let at = ((view.layer * view.height + pixel.y) * view.width + pixel.x) * VALUES;
+    let sample = march_layer(view.layer, marched_part(view, origin, direction), origin, direction, start);
+    let at = ((view.place * view.height + pixel.y) * view.width + pixel.x) * VALUES;
     let weight = view.sample_weight;
 #ifdef COUNT_READS
     count();

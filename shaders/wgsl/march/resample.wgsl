@@ -85,6 +85,16 @@ fn shown_before(way: Resample, table: PageTable, square: vec2f) -> LayerRadiance
     // From above not all of the surface is on the shell.
     let altitude = select(way.new_proxy.altitude_m, altitude_m(r, on_surface), way.new_proxy.from_above > 0u);
     let before = in_other_frame(r, altitude, on_surface, way.moved);
+#ifdef INSIDE
+    // On a dome about rays that start in a layer: where the old dome is along the new texel's ray.
+    if way.new_proxy.radius_m > 0.0 {
+        let there = in_other_frame(r, altitude_m(r, on_surface), on_surface, way.moved);
+        let starts = in_other_frame(r, altitude_m(r, way.reference), way.reference, way.moved);
+        let direction = normalize(there - starts);
+        let seen = surface_point(r, way.old_proxy, starts, altitude_m(r, starts), direction);
+        return cached_radiance(table, seen - way.old_proxy.anchor, false);
+    }
+#endif
     return cached_radiance(table, before - way.old_proxy.anchor, false);
 }
 #endif

@@ -38,7 +38,13 @@ fn texel_direction(planet_radius_m: f32, proxy: Proxy, reference: vec3f, square:
     let direction = normalize(on_surface - reference);
 #ifdef ABOVE
     // From above the ground hides nothing of the layer in front of it.
-    return select(above_horizon(planet_radius_m, direction, reference), direction, proxy.from_above > 0u);
+    let goes_down = proxy.from_above > 0u;
+#ifdef INSIDE
+    // Nor does it where rays start in the layer.
+    return select(above_horizon(planet_radius_m, direction, reference), direction, goes_down || proxy.radius_m > 0.0);
+#else
+    return select(above_horizon(planet_radius_m, direction, reference), direction, goes_down);
+#endif
 #else
     return above_horizon(planet_radius_m, direction, reference);
 #endif

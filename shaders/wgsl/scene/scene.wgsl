@@ -189,8 +189,10 @@ struct Part {
     /// The same for a ray that stands in cloud there: it begins and ends in the next gap between clouds, or here.
     near_gap_m: f32,
     far_gap_m: f32,
-    pad_near: f32,
-    pad_far: f32,
+    /// Between these distances it has all of the density; from near_m and to far_m that goes up and down evenly, m. What a part
+    /// lacks of it, the one that it meets has.
+    full_near_m: f32,
+    full_far_m: f32,
 }
 
 /// What keeps a part of a layer: a surface on which the results of rays through it lie.
@@ -202,7 +204,7 @@ struct Proxy {
     part: Part,
     /// Index of the layer.
     layer: u32,
-    /// Of a dome, which is a sphere about the anchor, m.
+    /// Of a dome, which is a sphere about the anchor, m; 0 of a shell.
     radius_m: f32,
     /// 1: anchor and reference are above the layer, and rays go down to it.
     from_above: u32,

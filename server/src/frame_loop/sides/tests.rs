@@ -47,14 +47,23 @@ impl Driven {
         renderer.finish_approaches(Instant::now());
         renderer.march(TILES);
         renderer.refresh_cells();
-        if self.kind() == RendererKind::ScreenSpace {
-            let renderer = &mut self.renderer;
-            renderer.restart_screen_space(CLIMBER);
-            while !renderer.march_screen_space(CLIMBER, u64::MAX >> 20) {
+        self.march_own(CLIMBER);
+        self.show(CLIMBER)
+    }
+
+    /// Marches a frame of a viewer's own rays, where it has such.
+    fn march_own(&mut self, id: ViewerId) {
+        let renderer = &mut self.renderer;
+        if renderer.marches_pixels(&renderer.viewers[&id]) {
+            renderer.restart_screen_space(id);
+            while !renderer.march_screen_space(id, u64::MAX >> 20) {
                 renderer.gpu.wait().expect("a device");
             }
         }
-        self.show(CLIMBER)
+    }
+
+    fn is_inside(&self) -> bool {
+        self.renderer.marches_near(&self.renderer.viewers[&CLIMBER])
     }
 
     fn kind(&self) -> RendererKind {
@@ -64,9 +73,12 @@ impl Driven {
     /// Waits for what is made on another thread.
     fn wait_for_pipelines(&mut self) {
         let begun = Instant::now();
-        while !(self.renderer.above_keys(&self.renderer.scene.clone()))
-            .into_iter()
-            .all(|key| self.renderer.pipelines.get(key).is_some())
+        let sides = [Side::Within, Side::Above];
+        while !(self
+            .renderer
+            .side_keys(&self.renderer.scene.clone(), &sides))
+        .into_iter()
+        .all(|key| self.renderer.pipelines.get(key).is_some())
         {
             assert!(begun.elapsed() < Duration::from_secs(60), "never made");
             self.renderer.take_views();
@@ -75,11 +87,53 @@ impl Driven {
     }
 }
 
+/// How a frame was made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Made {
+    FromCache,
+    NearAndFar,
+    ByRays,
+}
+
+impl Driven {
+    fn made(&self) -> Made {
+        match self.kind() {
+            RendererKind::ScreenSpace => Made::ByRays,
+            RendererKind::Cached if self.is_inside() => Made::NearAndFar,
+            RendererKind::Cached => Made::FromCache,
+        }
+    }
+}
+
+/// Every third frame of both, one row above the other, to be looked at.
+fn strip(frames: &[Vec<RgbImage>; 2]) -> image::ImageResult<()> {
+    let columns = frames[0].len().div_ceil(3) as u32;
+    let (width, height) = frames[0][0].dimensions();
+    let mut strip = RgbImage::new(columns * width, 2 * height);
+    for (row, frames) in (0..).zip(frames) {
+        for (column, frame) in (0..).zip(frames.iter().step_by(3)) {
+            image::imageops::replace(
+                &mut strip,
+                frame,
+                column * i64::from(width),
+                row * i64::from(height),
+            );
+        }
+    }
+    let folder = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../target/pictures-of-tests/inside"
+    );
+    std::fs::create_dir_all(folder)?;
+    strip.save(format!("{folder}/climb.png"))
+}
+
 #[test]
 fn a_climb_through_a_layer_and_back_shows_no_step_that_rays_do_not_show() {
-    // Up through the lower layer into the gap, and down again.
-    let up: Vec<f64> = (0..22).map(|i| 1_360.0 + 50.0 * f64::from(i)).collect();
-    // It waits at the end until the cache is there again.
+    // Up through the lower layer into the gap, and down again, each with a rest in the layer and at the end.
+    let climb = (0..22).map(|i| 1_360.0 + 50.0 * f64::from(i));
+    let mut up: Vec<f64> = climb.collect();
+    up.splice(9..9, [up[9]; 10]);
     let rests = [up[0]; 12];
     let way: Vec<f64> = up
         .iter()
@@ -89,15 +143,15 @@ fn a_climb_through_a_layer_and_back_shows_no_step_that_rays_do_not_show() {
         .collect();
     let mut cached = joined(RendererKind::Cached, way[0]);
     let mut rays = joined(RendererKind::ScreenSpace, way[0]);
-    let mut kinds = Vec::new();
+    let mut made = Vec::new();
     let mut frames = [Vec::new(), Vec::new()];
     for altitude_m in &way {
         frames[0].push(cached.climb(*altitude_m));
         frames[1].push(rays.climb(*altitude_m));
-        if kinds.last().is_none_or(|(_, kind)| *kind != cached.kind()) {
-            kinds.push((*altitude_m, cached.kind()));
+        if made.last().is_none_or(|(_, last)| *last != cached.made()) {
+            made.push((*altitude_m, cached.made()));
         }
-        if kinds.len() == 2 {
+        if made.len() == 2 {
             cached.wait_for_pipelines();
         }
     }
@@ -108,14 +162,77 @@ fn a_climb_through_a_layer_and_back_shows_no_step_that_rays_do_not_show() {
             way[index + 1]
         );
     }
-    println!("{kinds:?}");
-    let is = |index: usize, kind| kinds.get(index).is_some_and(|k: &(f64, _)| k.1 == kind);
-    assert!(is(0, RendererKind::Cached) && is(1, RendererKind::ScreenSpace));
-    assert!(is(2, RendererKind::Cached) && is(3, RendererKind::ScreenSpace));
-    assert!(is(4, RendererKind::Cached) && kinds.len() == 5, "{kinds:?}");
+    println!("{made:?}");
+    strip(&frames).expect("a picture");
+    let order: Vec<Made> = made.iter().map(|(_, made)| *made).collect();
+    let into_and_out = [
+        Made::FromCache,
+        Made::ByRays,
+        Made::NearAndFar,
+        Made::ByRays,
+    ];
+    assert_eq!(order[..4], into_and_out, "{made:?}");
+    assert_eq!(order.last(), Some(&Made::FromCache), "{made:?}");
+    // On the way down it is in the layer again.
+    let inside = order.iter().filter(|made| **made == Made::NearAndFar);
+    assert!(inside.count() >= 2, "{made:?}");
     // What a change of renderers shows beside the motion: filter and texels against the window's samples.
     for (index, (a, b)) in shown.iter().zip(&by_rays).enumerate() {
         assert!(*a <= 1.5 * b + 0.03, "{} m: {a} {b}", way[index + 1]);
+    }
+}
+
+#[test]
+fn two_in_a_layer_share_its_far_part_and_each_has_a_near_part_of_its_own() {
+    let in_layer = |east_m: f64, altitude_m: f64| {
+        Camera::new([east_m, altitude_m, -300.0], 40.0, -4.0, 60.0).expect("a camera")
+    };
+    let mut driven = joined(RendererKind::Cached, 1_800.0);
+    driven.wait_for_pipelines();
+    let settled = |driven: &mut Driven, ids: &[ViewerId]| {
+        driven.renderer.regroup(1.0 / FPS);
+        driven.settle();
+        let later = Instant::now() + Duration::from_secs(2);
+        driven.renderer.finish_approaches(later);
+        driven.settle();
+        for id in ids {
+            driven.march_own(*id);
+        }
+    };
+    settled(&mut driven, &[CLIMBER]);
+    assert_eq!(driven.made(), Made::NearAndFar);
+    let alone = driven.renderer.counters.tiles_updated;
+    let rays_of_one = driven.renderer.counters.screen_space_marches;
+    assert!(alone > 0);
+    let other = ViewerId(2);
+    let beside = view([96, 54], in_layer(230.0, 1_802.0));
+    driven.renderer.join(other, beside);
+    settled(&mut driven, &[CLIMBER, other]);
+    let both = driven.renderer.counters.tiles_updated;
+    println!(
+        "{alone} tile updates for one in a layer, {} more for two; {rays_of_one} rays of its own",
+        both - alone
+    );
+    assert_eq!(driven.cell_of(CLIMBER), driven.cell_of(other));
+    assert!(
+        driven
+            .renderer
+            .marches_near(&driven.renderer.viewers[&other])
+    );
+    assert!(4 * (both - alone) < alone, "{alone} {both}");
+    // One layer of two, a frame of a window.
+    let window = driven.renderer.viewers[&CLIMBER].screen_space.as_ref();
+    assert_eq!(window.expect("a near part").marched_layers(), [0]);
+}
+
+#[test]
+fn who_goes_to_and_fro_at_a_layers_base_keeps_rays() {
+    let mut driven = joined(RendererKind::Cached, 1_495.0);
+    for _ in 0..4 {
+        driven.climb(1_505.0);
+        assert_eq!(driven.made(), Made::ByRays);
+        driven.climb(1_495.0);
+        assert_eq!(driven.made(), Made::ByRays);
     }
 }
 
@@ -146,7 +263,7 @@ fn who_is_carried_through_a_layer_at_once_gets_rays_until_the_cache_is_there() {
     assert!(most < 0.5 * whole, "{most} {whole}");
     // All that is read was marched from where it is now.
     let id = driven.cell_of(CLIMBER);
-    assert!(driven.renderer.is_reached(id, 3_000.0));
+    assert!(driven.renderer.is_reached(id, [200.0, 3_000.0, -300.0]));
     let viewer = &driven.renderer.viewers[&CLIMBER];
     assert!(!driven.renderer.is_coarse(id, &viewer.requests));
     assert!(viewer.requests.iter().all(|tiles| !tiles.is_empty()));

@@ -163,10 +163,10 @@ impl SkyRenderer {
                 None => {
                     // From what shows nothing there is no way, and rays of its own show the same sky in all cells.
                     // Nor from what was seen from the other side of a layer.
-                    let altitude_m = viewer.view.camera.position_m()[1];
+                    let eye_m = viewer.view.camera.position_m();
                     let is_shown = viewer.kind == RendererKind::Cached
                         && self.coarse_is_ready(left)
-                        && self.is_reached(left, altitude_m);
+                        && self.is_reached(left, eye_m);
                     let requests = std::mem::take(&mut viewer.requests);
                     if is_shown && in_transition < VIEWERS_MAX {
                         self.counters.transitions.begun += 1;
@@ -314,8 +314,8 @@ impl SkyRenderer {
         let Some(mut transition) = viewer.transition.take() else {
             return;
         };
-        let altitude_m = viewer.view.camera.position_m()[1];
-        if viewer.kind != RendererKind::Cached || !self.is_reached(transition.from, altitude_m) {
+        let eye_m = viewer.view.camera.position_m();
+        if viewer.kind != RendererKind::Cached || !self.is_reached(transition.from, eye_m) {
             return;
         }
         let camera = viewer.view.camera;
@@ -382,8 +382,15 @@ impl SkyRenderer {
         }
     }
 
+    /// Whether a reference that goes from one place to another jumps: from there nothing is seen as it was from here. Who flies
+    /// close over clouds goes far about them in a frame, and is shown its own motion.
+    pub(super) fn is_a_jump(&self, from_m: DVec3, to_m: DVec3) -> bool {
+        let moved_rad = from_m.distance(to_m) / self.cloud_height_m(to_m.y);
+        Way::is_a_jump(Way::hidden_by(0.0, moved_rad))
+    }
+
     /// Ways that the motion from one camera to another hides.
-    fn motion_between(&self, before: &Camera, now: &Camera) -> f64 {
+    pub(super) fn motion_between(&self, before: &Camera, now: &Camera) -> f64 {
         let [was_m, is_m] = [before, now].map(|camera| DVec3::from_array(camera.position_m()));
         // Of two equal directions the cosine may round to more than 1.
         let turned_rad = before

@@ -114,9 +114,14 @@ impl Way {
         turned_rad / TURN_RAD + moved_rad / MOTION_RAD
     }
 
+    /// Whether a motion is a jump that hides so many ways.
+    pub(super) fn is_a_jump(motion: f64) -> bool {
+        motion > JUMP
+    }
+
     /// Lets time pass in which the viewer has moved so that `motion` ways are hidden, with what the new cell can show.
     pub(super) fn pass(&mut self, passed_s: f64, motion: f64, ready: Readiness) {
-        self.jumped |= motion > JUMP;
+        self.jumped |= Self::is_a_jump(motion);
         self.motion = self.motion * (-passed_s / MOTION_KEPT_S).exp() + motion;
         match self.stage {
             Stage::Waits => {

@@ -73,7 +73,8 @@ fn costs(costs: &[VariantCost]) -> Markup {
 }
 
 fn plot(report: &DistanceReport, direction: Direction, view: View) -> Markup {
-    let curves: Vec<Curve> = Variant::ALL
+    // As many as there are colours; the tables have all.
+    let curves: Vec<Curve> = Variant::COMPARED
         .into_iter()
         .map(|variant| Curve {
             name: variant.name().into(),
