@@ -18,6 +18,7 @@ mod pacing;
 mod passes;
 mod qualities;
 mod reanchoring;
+mod refining;
 mod renderer;
 mod screen_space;
 mod sides;

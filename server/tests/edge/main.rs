@@ -2,8 +2,8 @@
 
 mod apart;
 mod client;
-mod durability;
 mod conformance;
+mod durability;
 mod figures;
 mod lifecycle;
 mod limits;
@@ -14,6 +14,7 @@ mod sky_time;
 mod stand_in;
 mod stream;
 mod stream_refusals;
+mod stream_video;
 mod tls;
 mod tokens;
 mod world;
