@@ -62,6 +62,26 @@ needs_cxx() {
     command -v c++ >/dev/null || need "g++" "a C++ compiler for the FLIP picture comparison"
 }
 
+# Whether install_missing could install something without asking anybody.
+can_install() {
+    command -v apt-get >/dev/null || return 1
+    ((EUID == 0)) || { command -v sudo >/dev/null && { [[ -t 0 ]] || sudo -n true 2>/dev/null; }; }
+}
+
+# OpenH264 has its inner loops in assembler for x86, twice as fast as those that a C++ compiler makes. It builds without.
+needs_nasm() {
+    case "$(uname -m)" in
+        x86_64 | i?86) ;;
+        *) return 0 ;;
+    esac
+    command -v nasm >/dev/null && return 0
+    if can_install; then
+        need "nasm" "an assembler, with which the H.264 encoder is twice as fast"
+    else
+        say "no nasm: the H.264 encoder is built without its assembler and is half as fast"
+    fi
+}
+
 has_vulkan_loader() {
     # Read whole before it is searched: with pipefail, a grep that stops early would count as a failure.
     local libraries file

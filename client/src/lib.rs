@@ -16,6 +16,7 @@ pub mod server_address;
 pub mod server_stats;
 pub mod session;
 pub mod unix_time;
+pub mod video;
 
 pub use access::{Access, AccessError};
 pub use connection::{Connection, ConnectionError, ConnectionLimits, Event, Frame};

@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use image::{ImageFormat, ImageReader, Limits};
+use image::{ImageFormat, ImageReader, Limits, RgbImage};
 use skycell_protocol::FrameCodec;
 use skycell_protocol::frame::FrameHeader;
 use skycell_protocol::view::{FRAME_HEIGHT_MAX, FRAME_WIDTH_MAX};
@@ -21,6 +21,12 @@ pub enum PictureError {
     /// Not a JPEG or PNG file.
     #[error("the picture cannot be read: {0}")]
     Unreadable(#[from] image::ImageError),
+    /// Not a part of the video that came before.
+    #[error("the video cannot be decoded: {0}")]
+    Video(#[from] openh264::Error),
+    /// The colours of a video cannot be turned into pixels.
+    #[error("the video's colours cannot be read: {0}")]
+    Colours(String),
     /// Another size than the header says.
     #[error("the picture has {0}x{1} pixels, its header says {2}x{3}")]
     WrongSize(u32, u32, u16, u16),
@@ -54,14 +60,21 @@ pub fn to_png(header: &FrameHeader, payload: &[u8]) -> Result<Vec<u8>, PictureEr
     if format == ImageFormat::Png {
         return Ok(payload.to_vec());
     }
+    png_of(&picture.to_rgb8())
+}
+
+/// Pixels as a PNG file.
+///
+/// # Errors
+/// If the encoder refuses them.
+pub fn png_of(picture: &RgbImage) -> Result<Vec<u8>, PictureError> {
     let mut png = Cursor::new(Vec::new());
-    picture.to_rgb8().write_to(&mut png, ImageFormat::Png)?;
+    picture.write_to(&mut png, ImageFormat::Png)?;
     Ok(png.into_inner())
 }
 
 #[cfg(test)]
 mod tests {
-    use image::RgbImage;
     use skycell_protocol::{CellId, FrameSequence, FrameStages, InputSequence, ViewerId};
 
     use super::*;

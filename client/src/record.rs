@@ -7,20 +7,23 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use image::RgbImage;
 use indicatif::ProgressBar;
 use serde::Serialize;
 use skycell_protocol::message::{Acknowledgement, Hello};
 use skycell_protocol::{
-    Camera, CameraDocument, Codec, FrameHeader, FrameSize, FrameStages, InputSequence,
+    Camera, CameraDocument, Codec, FrameCodec, FrameHeader, FrameSize, FrameStages, InputSequence,
     QualityChoice, QualityPreset, Stereo,
 };
 use thiserror::Error;
+use tokio::io::AsyncWriteExt;
 use tokio::time::{Instant, timeout_at};
 
 use crate::camera_path::CameraPath;
 use crate::clouds_file::{CloudsFileError, clouds_of, to_exr};
-use crate::picture::{PictureError, to_png};
+use crate::picture::{PictureError, png_of, to_png};
 use crate::unix_time::unix_us_now;
+use crate::video::VideoDecoder;
 use crate::{ConnectionError, ConnectionLimits, Event, Frame, ServerAddress, Session};
 
 /// Frames of one recording: an hour at 24 frames a second, and file names of five digits.
@@ -41,10 +44,13 @@ pub struct RecordOptions {
     pub size: FrameSize,
     /// Pictures of two eyes, side by side in one file.
     pub stereo: Option<Stereo>,
-    /// PNG for exact pictures, JPEG for a fast connection, files of which are PNG; or clouds alone, as EXR.
+    /// PNG for exact pictures, JPEG for a fast connection, H.264 for what a viewer sees of a video, files of which are PNG; or
+    /// clouds alone, as EXR.
     pub codec: Codec,
     /// Colour of clouds alone includes the haze in front of them.
     pub haze: bool,
+    /// Also writes the video as it came, `video.h264`: every access unit that was received, in Annex B form.
+    pub raw: bool,
     /// How good pictures are to be; none for what the scene or the server says.
     pub quality: Option<QualityPreset>,
     /// How long to wait for a picture that is not coarse before a coarse one is taken.
@@ -213,24 +219,34 @@ pub async fn record(
         camera: first,
         input: InputSequence(0),
         newest: None,
+        video: None,
+        raw: if options.raw {
+            Some(RawVideo::create(options.directory.join("video.h264")).await?)
+        } else {
+            None
+        },
     };
     for number in 0..options.frames {
         let time_s = f64::from(number) / options.fps;
-        let frame = stage
+        let shown = stage
             .show(&mut connection, options.path.at(time_s), number, options)
             .await?;
-        let (file, bytes) = file_of(&frame, number, options.codec)?;
+        let (file, bytes) = file_of(&shown, number, options.codec)?;
         write_file(&options.directory.join(&file), &bytes).await?;
         index.frames.push(RecordedFrame {
             file,
             time_s,
             camera: stage.camera.into(),
-            received_unix_us: frame.received_unix_us,
-            header: (&frame.header).into(),
+            received_unix_us: shown.frame.received_unix_us,
+            header: (&shown.frame.header).into(),
         });
         progress.inc(1);
     }
     connection.close().await;
+    if let Some(mut raw) = stage.raw {
+        let flushed = raw.file.flush().await;
+        flushed.map_err(|source| file_error(&raw.path, source))?;
+    }
     let text = serde_json::to_vec_pretty(&index)?;
     write_file(&options.directory.join("index.json"), &text).await?;
     progress.finish_and_clear();
@@ -241,7 +257,39 @@ pub async fn record(
 struct Stage {
     camera: Camera,
     input: InputSequence,
-    newest: Option<Frame>,
+    newest: Option<Shown>,
+    video: Option<VideoDecoder>,
+    /// The video as it came, if it is to be kept.
+    raw: Option<RawVideo>,
+}
+
+/// A video's file, in which access units follow one another.
+struct RawVideo {
+    path: PathBuf,
+    file: tokio::fs::File,
+}
+
+impl RawVideo {
+    async fn create(path: PathBuf) -> Result<Self, RecordError> {
+        let file = tokio::fs::File::create(&path).await;
+        let file = file.map_err(|source| file_error(&path, source))?;
+        Ok(Self { path, file })
+    }
+
+    async fn append(&mut self, frame: &Frame) -> Result<(), RecordError> {
+        if frame.header.codec != FrameCodec::H264 {
+            return Ok(());
+        }
+        let written = self.file.write_all(frame.payload()).await;
+        written.map_err(|source| file_error(&self.path, source))
+    }
+}
+
+/// A frame, and its pixels where it was part of a video.
+#[derive(Clone)]
+struct Shown {
+    frame: Frame,
+    picture: Option<RgbImage>,
 }
 
 impl Stage {
@@ -252,7 +300,7 @@ impl Stage {
         camera: Camera,
         number: u32,
         options: &RecordOptions,
-    ) -> Result<Frame, RecordError> {
+    ) -> Result<Shown, RecordError> {
         // A server sends nothing where nothing changes: a camera that rests needs no new input,
         // and a picture of it may be all there will ever be.
         if camera != self.camera {
@@ -262,7 +310,7 @@ impl Stage {
         let mut begun = Instant::now();
         loop {
             match self.wait(connection, number, options, begun).await? {
-                Some(frame) => return Ok(frame),
+                Some(shown) => return Ok(shown),
                 // The connection is another one, which knows the camera as input 0 and has sent nothing yet.
                 None => {
                     begun = Instant::now();
@@ -280,17 +328,17 @@ impl Stage {
         number: u32,
         options: &RecordOptions,
         begun: Instant,
-    ) -> Result<Option<Frame>, RecordError> {
+    ) -> Result<Option<Shown>, RecordError> {
         let sharp_until = begun + options.sharp_wait;
         let any_until = begun + options.frame_timeout.max(options.sharp_wait);
         loop {
             let shown = self
                 .newest
                 .as_ref()
-                .filter(|frame| frame.header.input >= self.input);
-            let sharp = shown.is_some_and(|frame| !frame.header.coarse);
-            if let (Some(frame), true) = (shown, sharp || Instant::now() >= sharp_until) {
-                return Ok(Some(frame.clone()));
+                .filter(|shown| shown.frame.header.input >= self.input);
+            let sharp = shown.is_some_and(|shown| !shown.frame.header.coarse);
+            if let (Some(shown), true) = (shown, sharp || Instant::now() >= sharp_until) {
+                return Ok(Some(shown.clone()));
             }
             let deadline = if shown.is_some() {
                 sharp_until
@@ -299,8 +347,12 @@ impl Stage {
             };
             match timeout_at(deadline, connection.next_event()).await {
                 Ok(Ok(Event::Frame(frame))) => {
+                    let picture = self.decode(&frame, number)?;
+                    if let Some(raw) = &mut self.raw {
+                        raw.append(&frame).await?;
+                    }
                     connection.acknowledge(acknowledgement(&frame)).await?;
-                    self.newest = Some(frame);
+                    self.newest = Some(Shown { frame, picture });
                 }
                 Ok(Ok(Event::Complaint(complaint))) => {
                     return Err(ConnectionError::Refused(complaint).into());
@@ -321,8 +373,8 @@ impl Stage {
 }
 
 /// The file that a frame becomes: its name and what it holds.
-fn file_of(frame: &Frame, number: u32, codec: Codec) -> Result<(String, Vec<u8>), RecordError> {
-    let (header, payload) = (&frame.header, frame.payload());
+fn file_of(shown: &Shown, number: u32, codec: Codec) -> Result<(String, Vec<u8>), RecordError> {
+    let (header, payload) = (&shown.frame.header, shown.frame.payload());
     if codec == Codec::Clouds {
         let bytes = clouds_of(header, payload).and_then(|clouds| to_exr(&clouds));
         let bytes = bytes.map_err(|source| RecordError::Clouds {
@@ -331,11 +383,34 @@ fn file_of(frame: &Frame, number: u32, codec: Codec) -> Result<(String, Vec<u8>)
         })?;
         return Ok((format!("frame-{number:05}.exr"), bytes));
     }
-    let png = to_png(header, payload).map_err(|source| RecordError::Picture {
+    let png = match &shown.picture {
+        Some(picture) => png_of(picture),
+        None => to_png(header, payload),
+    };
+    let png = png.map_err(|source| RecordError::Picture {
         frame: number,
         source,
     })?;
     Ok((format!("frame-{number:05}.png"), png))
+}
+
+impl Stage {
+    /// The pixels of a frame of a video. Each builds on those before, so every one is decoded.
+    fn decode(&mut self, frame: &Frame, number: u32) -> Result<Option<RgbImage>, RecordError> {
+        if frame.header.codec != FrameCodec::H264 {
+            return Ok(None);
+        }
+        let failed = |source| RecordError::Picture {
+            frame: number,
+            source,
+        };
+        let video = match &mut self.video {
+            Some(video) => video,
+            none => none.insert(VideoDecoder::new().map_err(failed)?),
+        };
+        let picture = video.decode(&frame.header, frame.payload());
+        picture.map(Some).map_err(failed)
+    }
 }
 
 fn acknowledgement(frame: &Frame) -> Acknowledgement {

@@ -23,6 +23,7 @@ fn options(directory: &Path, turn_deg: f64) -> RecordOptions {
         stereo: None,
         codec: Codec::Png,
         haze: true,
+        raw: false,
         quality: None,
         sharp_wait: Duration::from_secs(2),
         frame_timeout: Duration::from_secs(5),

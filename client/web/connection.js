@@ -9,7 +9,8 @@
  *     connection.setCamera({ ...camera, yaw_deg: 90 });
  *
  * Every frame wants its `presented()`: the server sends no more than two that were not acknowledged. A lost connection
- * comes back by itself and goes on with the newest picture; nothing of the outage is replayed.
+ * comes back by itself and goes on with the newest picture; nothing of the outage is replayed. `video-decoder.js` decodes
+ * frames, H.264 among them, and tells which codecs a browser can take.
  */
 
 import { FrameError, parseFrameHeader } from "./frame-header.js";
@@ -22,7 +23,9 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @property {number} width  pixels, at most `welcome.max_width`; with two eyes those of one, at most half of it
  * @property {number} height  pixels, at most `welcome.max_height`
  * @property {number} fps  1 to 120
- * @property {"jpeg" | "png" | "clouds"} [codec]  clouds: clouds alone, for a renderer of your own (clouds.js)
+ * @property {"jpeg" | "png" | "h264" | "clouds"} [codec]  clouds: clouds alone, for a renderer of your own (clouds.js)
+ * @property {("jpeg" | "png" | "h264" | "clouds")[]} [codecs]  what can be decoded, what is liked best first; the server picks.
+ *   `codec` set later takes its place
  * @property {number} [jpeg_quality]  1 to 100
  * @property {Quality | null} [quality]  null: what the scene or the server says
  * @property {string} [show]  name of a view, as `/api/v1/views` lists them
@@ -63,6 +66,7 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @property {number} max_height
  * @property {number} max_fps
  * @property {number} frame_header_bytes
+ * @property {"jpeg" | "png" | "h264" | "clouds"} codec  the one that the server has picked
  */
 
 /**
@@ -82,6 +86,8 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @property {Stereo | null} [stereo]  the two eyes whose pictures frames hold
  * @property {string | null} [show_note]  why frames do not show the view that was asked for
  * @property {string | null} [loss_note]  what the view cell has lost because memory or time do not suffice
+ * @property {"jpeg" | "png" | "h264" | "clouds"} [codec]  how frames are compressed
+ * @property {number | null} [target_kbit_per_s]  the rate that a video aims at
  * @property {number | null} [cache_error_p50_percent]  how far half of the cached texels are from fresh ones at most
  * @property {number | null} [cache_error_p95_percent]  the same of 95 of 100
  */
@@ -89,7 +95,8 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
 /**
  * @typedef {object} Frame
  * @property {FrameHeader} header
- * @property {Uint8Array<ArrayBuffer>} payload  what `header.codec` says: a JPEG or PNG file, or what clouds.js reads
+ * @property {Uint8Array<ArrayBuffer>} payload  what `header.codec` says: a JPEG or PNG file, an access unit of H.264
+ *   (video-decoder.js), or what clouds.js reads
  * @property {Camera | null} camera  the camera whose picture it is; null where it was asked for too long ago to know
  * @property {(times: { decode_us: number, present_us: number }) => void} presented  acknowledges; to be called once.
  *   decode_us: how long decoding took; present_us: when it was shown, µs since 1970
@@ -260,6 +267,7 @@ export class Connection {
     );
     if (Object.keys(changed).length === 0) return;
     Object.assign(this.#view, changed);
+    if (changed.codec !== undefined) delete this.#view.codecs;
     if (this.#status.state === "open") this.#send({ type: "view", ...changed });
   }
 
@@ -280,6 +288,11 @@ export class Connection {
     this.#status_handlers.add(handler);
     handler(this.status);
     return () => this.#status_handlers.delete(handler);
+  }
+
+  /** The next picture is to need no earlier one: one of a video was lost. */
+  requestKeyFrame() {
+    if (this.#status.state === "open") this.#send({ type: "key_frame" });
   }
 
   /** Does not wait for the rest of the back-off. */

@@ -37,6 +37,17 @@ function sizeText({ width, height, stereo, coarse }, shown) {
   return coarse ? `${size}, still coarse` : size;
 }
 
+const CODEC_NAMES = { h264: "H.264", jpeg: "JPEG", png: "PNG", clouds: "clouds alone" };
+
+/** @param {ConnectionStatus} status */
+function codecText({ server, welcome, header }) {
+  const codec = server?.codec ?? welcome?.codec;
+  if (!codec) return "–";
+  const rate = server?.target_kbit_per_s;
+  const aim = typeof rate === "number" ? `, ${(rate / 1000).toFixed(1)} Mbit/s at most` : "";
+  return `${CODEC_NAMES[codec]}${aim}${header?.exact && header.codec === "png" ? ", now exact" : ""}`;
+}
+
 /** @param {number | null} ms */
 const milliseconds = (ms) => (ms === null ? "–" : `${ms.toFixed(ms < 9.95 ? 1 : 0)} ms`);
 
@@ -44,8 +55,9 @@ const milliseconds = (ms) => (ms === null ? "–" : `${ms.toFixed(ms < 9.95 ? 1 
  * @param {ConnectionStatus} status
  * @param {{ width: number, height: number } | null} shown
  * @param {number | null} motion_ms
+ * @param {string} video_problem  why a video is not shown as one; "" without a reason
  */
-export function showFigures(status, shown, motion_ms) {
+export function showFigures(status, shown, motion_ms, video_problem) {
   const { server, header, fps, mbit_per_s, latency_ms, frame_age_ms } = status;
   const at_rest = status.state === "open" && fps === 0 && header !== null;
   write("fps", at_rest ? "at rest" : fps.toFixed(fps < 9.95 ? 1 : 0));
@@ -62,7 +74,8 @@ export function showFigures(status, shown, motion_ms) {
   write("picked", server ? pickedText(server) : "–");
   write("cache-error", server ? cacheErrorText(server) : "–");
   write("renderer", server?.renderer ?? "–");
-  const notes = [server?.show_note ?? server?.renderer_note, server?.loss_note];
+  write("codec", codecText(status));
+  const notes = [server?.show_note ?? server?.renderer_note, server?.loss_note, video_problem];
   write("show-note", notes.filter((note) => note).join("; "));
   write("picture-size", header ? sizeText(header, shown) : "–");
 }

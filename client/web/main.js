@@ -2,7 +2,8 @@
 /**
  * The page: one connection, one picture, one look, and what stands around them.
  *
- * URL parameters: yaw, pitch, fov (degrees), width, height (pixels), fps, quality (a preset), show (a view's name), stereo
+ * URL parameters: yaw, pitch, fov (degrees), width, height (pixels), fps, quality (a preset), codec
+ * (jpeg or png; without: H.264 where the browser decodes it), show (a view's name), stereo
  * (how far two eyes are apart, metres), predict (off: frames are shown as they come). `/api/v1/views` lists the views.
  */
 
@@ -21,6 +22,7 @@ import { attachSkyControls } from "./sky-controls.js";
 import { savePicture } from "./snapshot.js";
 import { attachTheme } from "./theme.js";
 import { connectionToken, sendTokens } from "./token.js";
+import { createDecoder, supportedCodecs } from "./video-decoder.js";
 import { createView } from "./view.js";
 import { drawBar, fetchViews, tick } from "./views.js";
 import { withMargin } from "./warp.js";
@@ -95,7 +97,20 @@ function wantedEyes() {
   return stereo_box.checked ? pair : null;
 }
 
-const view = createView(canvas);
+/** Why a video is not shown as one. */
+let video_problem = "";
+const decode = createDecoder({
+  askForKeyFrame: () => connection.requestKeyFrame(),
+  onGivenUp: (reason) => {
+    video_problem = `This browser does not decode the video (${reason}); JPEG instead.`;
+    connection.setView({ codec: "jpeg" });
+  },
+});
+const asked_codec = query.get("codec");
+/** @type {("jpeg" | "png" | "h264")[]} */
+const codecs = asked_codec === "jpeg" || asked_codec === "png" ? [asked_codec] : await supportedCodecs();
+
+const view = createView(canvas, decode);
 predict_box.checked = view.canPredict() && query.get("predict") !== "off";
 predict_box.disabled = !view.canPredict();
 if (!view.canPredict()) write("predict-note", "This browser gives no WebGL2: frames are shown as they come.");
@@ -140,7 +155,7 @@ const connection = connect(socket_url, {
   view: {
     ...first_size,
     fps: parameter("fps", DEFAULT_FPS, 1, 120),
-    codec: "jpeg",
+    codecs,
     quality: wantedQuality(),
     stereo: wantedEyes(),
   },
@@ -249,7 +264,7 @@ connection.onStatus((status) => {
   write("state", status.message);
   write("countdown", status.retry_in_s === null ? "" : ` in ${status.retry_in_s} s`);
   write("problem", status.problem);
-  showFigures(status, predicts() ? shown : null, view.motionMs());
+  showFigures(status, predicts() ? shown : null, view.motionMs(), video_problem);
   graph.add(status);
   if (status.welcome && status.welcome !== last_welcome) {
     const is_again = last_welcome !== null;

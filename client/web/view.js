@@ -1,16 +1,17 @@
 // @ts-check
 /**
- * Shows frames in a canvas: decodes one at a time, keeps only the newest, draws once per animation frame. Between frames it
- * turns the last one to the newest camera, where it is told to.
+ * Shows frames in a canvas: decodes one at a time, keeps only the newest, draws once per animation frame. Of a video every
+ * frame is decoded. Between frames it turns the last one to the newest camera, where it is told to.
  */
 
 import { unixMicros } from "./connection.js";
+import { decodeImage } from "./video-decoder.js";
 import { createPainter, warpBetween } from "./warp.js";
 
 /** @typedef {import("./connection.js").Frame} Frame */
 /** @typedef {import("./look.js").Camera} Camera */
 /** @typedef {import("./warp.js").Size} Size */
-/** @typedef {{ picture: ImageBitmap | VideoFrame, width: number, height: number }} Decoded */
+/** @typedef {import("./video-decoder.js").Decoded} Decoded */
 
 /**
  * @typedef {object} ViewCounts
@@ -33,17 +34,6 @@ import { createPainter, warpBetween } from "./warp.js";
  */
 
 /**
- * A picture of a file's bytes.
- * @param {Frame} frame
- * @returns {Promise<Decoded>}
- */
-async function decodeImage(frame) {
-  const blob = new Blob([frame.payload], { type: `image/${frame.header.codec}` });
-  const picture = await createImageBitmap(blob, { colorSpaceConversion: "none" });
-  return { picture, width: picture.width, height: picture.height };
-}
-
-/**
  * A hidden page has no animation frames, so it acknowledges nothing, and the server stops sending after two frames.
  *
  * @param {HTMLCanvasElement} canvas  shown with `object-fit: contain`
@@ -53,8 +43,8 @@ async function decodeImage(frame) {
 export function createView(canvas, decode = decodeImage) {
   const painter = createPainter(canvas);
   const counts = { drawn: 0, turned: 0, dropped: 0, broken: 0 };
-  /** @type {Frame | null} */
-  let undecoded = null;
+  /** @type {Frame[]} */
+  let undecoded = [];
   /** @type {{ frame: Frame, decoded: Decoded, decode_us: number } | null} */
   let undrawn = null;
   /** What the painter holds. @type {{ camera: Camera | null, input: number, size: Size, stereo: boolean } | null} */
@@ -124,9 +114,7 @@ export function createView(canvas, decode = decodeImage) {
   const pump = async () => {
     if (decoding) return;
     decoding = true;
-    while (undecoded) {
-      const frame = undecoded;
-      undecoded = null;
+    for (let frame = undecoded.shift(); frame; frame = undecoded.shift()) {
       try {
         const started_ms = performance.now();
         const decoded = await decode(frame);
@@ -147,8 +135,10 @@ export function createView(canvas, decode = decodeImage) {
 
   return {
     show(frame) {
-      if (undecoded) counts.dropped += 1;
-      undecoded = frame;
+      // What comes later builds on the frames of a video; the server has at most two under way.
+      const needed = undecoded.filter(({ header }) => header.codec === "h264");
+      counts.dropped += undecoded.length - needed.length;
+      undecoded = [...needed, frame];
       void pump();
     },
     look(camera, at_ms) {

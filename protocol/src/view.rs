@@ -76,18 +76,40 @@ pub enum Codec {
     Clouds,
 }
 
+impl Codec {
+    /// Every codec by its name on the wire.
+    pub const NAMES: [(&'static str, Self); 4] = [
+        ("jpeg", Self::Jpeg),
+        ("png", Self::Png),
+        ("h264", Self::H264),
+        ("clouds", Self::Clouds),
+    ];
+
+    /// The codec of a name on the wire.
+    pub fn of_name(name: &str) -> Option<Self> {
+        Self::NAMES
+            .iter()
+            .find(|(known, _)| *known == name)
+            .map(|(_, codec)| *codec)
+    }
+
+    /// Whether its pictures build on earlier ones.
+    pub fn is_stream(self) -> bool {
+        match self {
+            Self::Jpeg | Self::Png | Self::Clouds => false,
+            Self::H264 => true,
+        }
+    }
+
+    /// All names, for messages.
+    pub(crate) fn names() -> String {
+        Self::NAMES.map(|(name, _)| format!("{name:?}")).join(", ")
+    }
+}
+
 impl ReadJson for Codec {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
-        read_name(
-            value,
-            pointer,
-            &[
-                ("jpeg", Self::Jpeg),
-                ("png", Self::Png),
-                ("h264", Self::H264),
-                ("clouds", Self::Clouds),
-            ],
-        )
+        read_name(value, pointer, &Self::NAMES)
     }
 }
 

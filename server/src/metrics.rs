@@ -42,6 +42,8 @@ pub struct Metrics {
     pub encode_png_s: Histogram,
     /// Duration of encoding clouds alone.
     pub encode_clouds_s: Histogram,
+    /// Duration of encoding a picture of an H.264 stream.
+    pub encode_h264_s: Histogram,
     /// From readback until an encoder takes the frame.
     pub encode_wait_s: Histogram,
     /// From the composite's submission until the client's acknowledgement.
@@ -74,6 +76,7 @@ impl Metrics {
                 histogram!("skycell_encode_seconds", "codec" => "clouds"),
                 Refusal::ALL
                     .map(|refusal| counter!("skycell_refusals_total", "reason" => refusal.name())),
+                histogram!("skycell_encode_seconds", "codec" => "h264"),
             )
         });
         Ok(Self {
@@ -88,6 +91,7 @@ impl Metrics {
             frame_age_s: metrics.6,
             encode_clouds_s: metrics.7,
             refusals: metrics.8,
+            encode_h264_s: metrics.9,
         })
     }
 

@@ -122,6 +122,14 @@ impl Browser {
     /// # Errors
     /// When the browser does not.
     pub async fn open(&self, url: &str) -> anyhow::Result<Tab<'_>> {
+        self.open_after(url, "").await
+    }
+
+    /// Opens a page in a window of its own, in which a script has run before its own.
+    ///
+    /// # Errors
+    /// When the browser does not.
+    pub async fn open_after(&self, url: &str, script: &str) -> anyhow::Result<Tab<'_>> {
         // A window, not a tab: a page behind another one has no animation frames.
         let target = self
             .command(
@@ -144,6 +152,11 @@ impl Browser {
         };
         for domain in ["Runtime.enable", "Log.enable", "Page.enable"] {
             tab.command(domain, json!({})).await?;
+        }
+        if !script.is_empty() {
+            let script = json!({"source": script});
+            tab.command("Page.addScriptToEvaluateOnNewDocument", script)
+                .await?;
         }
         tab.command("Page.navigate", json!({"url": url})).await?;
         Ok(tab)

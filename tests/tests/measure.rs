@@ -1,4 +1,4 @@
-//! `skycell-server measure trade` from the command line to the page, on whatever renders here.
+//! `skycell-server measure trade` and `measure codec` from the command line to the page, on whatever renders here.
 
 use serde_json::Value;
 use skycell_protocol::{Camera, FrameSize, RendererKind, Scene};
@@ -11,8 +11,12 @@ use std::process::{Command, Output};
 use std::sync::Arc;
 
 fn measure(out: &Path, arguments: &[&str]) -> anyhow::Result<Output> {
+    measure_what("trade", out, arguments)
+}
+
+fn measure_what(what: &str, out: &Path, arguments: &[&str]) -> anyhow::Result<Output> {
     Ok(Command::new(binary("skycell-server")?)
-        .args(["measure", "trade", "--json", "--out"])
+        .args(["measure", what, "--json", "--out"])
         .arg(out)
         .arg("--noise-cache-dir")
         .arg(target_dir()?.join("noise-of-tests"))
@@ -173,5 +177,36 @@ fn the_shown_picture_of_radiance_is_the_devices_own() -> anyhow::Result<()> {
             "value {at}: {ours} and {devices}"
         );
     }
+    Ok(())
+}
+
+#[test]
+fn the_codec_study_tells_that_more_bits_are_closer_to_the_picture() -> anyhow::Result<()> {
+    let scratch = tempfile::tempdir()?;
+    let out = scratch.path().join("codec");
+    // A turn so fast, of pictures so large, that the lower rate is too little.
+    let arguments = "--sizes 320x180 --rates-kbit-per-s 100,4000 --jpeg-qualities 20,95 --seconds 1 --fps 30 \
+                     --turn-deg-per-s 60 --compared-every 10 --steps 8 --samples 1";
+    let arguments: Vec<&str> = arguments.split_whitespace().collect();
+    let report = summary(&measure_what("codec", &out, &arguments)?)?;
+    let file: Value = serde_json::from_slice(&std::fs::read(out.join("codec.json"))?)?;
+    assert_eq!(file, report);
+    let points = report["points"].as_array().expect("points");
+    assert_eq!(points.len(), 5, "{report:#}");
+    let number = |point: usize, key: &str| points[point][key].as_f64().expect("a number");
+    for (coarse, fine) in [(0, 1), (2, 3)] {
+        assert!(
+            number(fine, "flip") < 0.95 * number(coarse, "flip"),
+            "{report:#}"
+        );
+        assert!(
+            number(fine, "mbit_per_s") > number(coarse, "mbit_per_s"),
+            "{report:#}"
+        );
+        assert_eq!(number(coarse, "compared"), 3.0, "{report:#}");
+    }
+    assert!(report["bar_is_met"].is_null(), "the bar is another size's");
+    let page = std::fs::read_to_string(out.join("codec.html"))?;
+    assert!(page.contains("<svg") && page.contains("JPEG 95"));
     Ok(())
 }

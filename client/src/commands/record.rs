@@ -19,6 +19,7 @@ Examples:
   skycell record --url ws://127.0.0.1:8080/ws --out out/turn --frames 48
   skycell record --url ws://127.0.0.1:8080/ws --out out/pair --frames 48 --stereo 0.064
   skycell record --url ws://127.0.0.1:8080/ws --out out/clouds --frames 48 --codec clouds
+  skycell record --url ws://127.0.0.1:8080/ws --out out/video --frames 48 --codec h264 --raw
   skycell record --url ws://127.0.0.1:8080/ws --out out/flight --path flight.json --fps 30
 
 A camera path is a JSON list of keys in order of time; between two keys every number goes in a
@@ -61,6 +62,9 @@ pub(crate) struct Arguments {
     /// Clouds alone without the haze in front of them.
     #[arg(long)]
     without_haze: bool,
+    /// With --codec h264: also writes the video as it came, video.h264 (Annex B), which most players open.
+    #[arg(long)]
+    raw: bool,
     /// Pictures of two eyes so far apart, metres, side by side in one file; width and height are those of one eye.
     #[arg(long, value_name = "M", allow_negative_numbers = true)]
     stereo: Option<f64>,
@@ -86,6 +90,8 @@ enum CodecArgument {
     Png,
     /// Clouds alone.
     Clouds,
+    /// What a viewer sees of a video.
+    H264,
 }
 
 const DEFAULT_FRAMES: u32 = 120;
@@ -153,7 +159,12 @@ fn options(arguments: Arguments) -> anyhow::Result<RecordOptions> {
             frames as u32
         }
     };
+    anyhow::ensure!(
+        !arguments.raw || matches!(arguments.codec, CodecArgument::H264),
+        "--raw keeps a video as it came; it needs --codec h264"
+    );
     Ok(RecordOptions {
+        raw: arguments.raw,
         directory: arguments.out,
         path,
         frames,
@@ -164,6 +175,7 @@ fn options(arguments: Arguments) -> anyhow::Result<RecordOptions> {
             CodecArgument::Jpeg => Codec::Jpeg,
             CodecArgument::Png => Codec::Png,
             CodecArgument::Clouds => Codec::Clouds,
+            CodecArgument::H264 => Codec::H264,
         },
         haze: !arguments.without_haze,
         quality: arguments.quality.map(QualityArgument::preset),

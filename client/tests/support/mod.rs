@@ -230,6 +230,7 @@ async fn welcome(socket: &mut WebSocket, viewer: u32) {
         max_height: 2160,
         max_fps: 120.0,
         frame_header_bytes: 96,
+        codec: Codec::Jpeg,
     };
     say(socket, ServerMessage::Welcome(welcome)).await;
 }

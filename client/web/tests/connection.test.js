@@ -89,6 +89,27 @@ test("without another token a refused connection ends and does not hammer the se
   assert.equal(FakeWebSocket.made.at(-1), socket);
 });
 
+test("codecs are offered in the hello, one that is set later takes their place, and a key frame can be asked for", (t) => {
+  globalThis.WebSocket = FakeWebSocket;
+  const view = { width: 640, height: 360, fps: 30, codecs: ["h264", "jpeg"] };
+  const connection = connect("ws://sky.test/ws", { view, camera });
+  t.after(() => connection.close());
+  const socket = FakeWebSocket.made.at(-1);
+  connection.requestKeyFrame();
+  socket.open();
+  socket.say(welcome);
+  assert.deepEqual(socket.sent[0].codecs, ["h264", "jpeg"]);
+  connection.requestKeyFrame();
+  connection.setView({ codec: "jpeg" });
+  assert.deepEqual(socket.sent.slice(1), [{ type: "key_frame" }, { type: "view", codec: "jpeg" }]);
+  socket.onclose({ code: 1006, reason: "" });
+  connection.retryNow();
+  const again = FakeWebSocket.made.at(-1);
+  again.open();
+  assert.equal(again.sent[0].codec, "jpeg");
+  assert.equal(again.sent[0].codecs, undefined);
+});
+
 test("of many camera changes within an animation frame only the last is sent, and only if it differs", async (t) => {
   const { connection, socket } = connected(t);
   for (let yaw_deg = 1; yaw_deg <= 50; yaw_deg += 1) connection.setCamera({ ...camera, yaw_deg });

@@ -13,6 +13,9 @@ use crate::{
     QualityChoice, RendererKind, Show, Stereo, ValueError,
 };
 
+/// How many codecs a client may name.
+const CODECS_MAX: usize = 8;
+
 /// A message from a client, in range throughout.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "type", rename_all = "kebab-case")]
@@ -25,6 +28,9 @@ pub enum ClientMessage {
     View(ViewChange),
     /// A frame has arrived.
     Ack(Acknowledgement),
+    /// The next picture is to need no earlier one: the client lacks one of those that it builds on.
+    #[serde(rename = "key_frame")]
+    KeyFrame,
 }
 
 /// The first message of a client.
@@ -37,8 +43,11 @@ pub struct Hello {
     pub size: FrameSize,
     /// The most frames a second that the client wants.
     pub fps: f64,
-    /// How frames are compressed.
+    /// How frames are compressed, where `codecs` says nothing.
     pub codec: Codec,
+    /// What the client can take, what it likes best first; of names on the wire that this crate does not know, nothing.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub codecs: Vec<Codec>,
     /// Quality of JPEG frames.
     pub jpeg_quality: JpegQuality,
     /// Where the viewer stands and looks.
@@ -68,6 +77,7 @@ impl Hello {
             size,
             fps,
             codec: Codec::default(),
+            codecs: Vec::new(),
             jpeg_quality: JpegQuality::default(),
             camera,
             renderer: RendererKind::default(),
@@ -77,6 +87,12 @@ impl Hello {
             haze: true,
             token: None,
         }
+    }
+
+    /// The first of its codecs that `can_give` allows; `codec` where there is none.
+    pub fn picked_codec(&self, can_give: impl Fn(Codec) -> bool) -> Codec {
+        let mut wanted = self.codecs.iter().copied();
+        wanted.find(|codec| can_give(*codec)).unwrap_or(self.codec)
     }
 }
 
@@ -213,7 +229,7 @@ impl From<ValueError> for MessageError {
     }
 }
 
-const TYPES: &[&str] = &["hello", "camera", "view", "ack"];
+const TYPES: &[&str] = &["hello", "camera", "view", "ack", "key_frame"];
 
 impl ClientMessage {
     /// Reads a message from the text of a WebSocket message.
@@ -235,6 +251,10 @@ impl ClientMessage {
             "camera" => Ok(Self::Camera(read_camera_input(&members)?)),
             "view" => Ok(Self::View(read_view_change(&members)?)),
             "ack" => Ok(Self::Ack(read_acknowledgement(&members)?)),
+            "key_frame" => {
+                members.only(&["type"])?;
+                Ok(Self::KeyFrame)
+            }
             unknown => {
                 let mut allowed = TYPES.join(", ");
                 if let Some(name) = nearest_name(unknown, TYPES) {
@@ -265,6 +285,7 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         "height",
         "fps",
         "codec",
+        "codecs",
         "jpeg_quality",
         "camera",
         "renderer",
@@ -275,7 +296,19 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         "token",
     ])?;
     let stereo = members.member_or("stereo", None)?;
-    let codec = members.required("codec", "\"jpeg\", \"png\" or \"clouds\"")?;
+    let codecs = match members.optional::<Value>("codecs")? {
+        Some(names) => read_codecs(&names)?,
+        None => Vec::new(),
+    };
+    let codec = match codecs.first() {
+        Some(first) => members.member_or("codec", *first)?,
+        None => members.required("codec", &Codec::names())?,
+    };
+    let show = members.member_or("show", Show::default())?;
+    // Whichever the server picks.
+    for codec in codecs.iter().chain([&codec]) {
+        show.for_codec(*codec)?;
+    }
     Ok(Hello {
         protocol,
         size: FrameSize::new(
@@ -288,17 +321,37 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
             members.required("fps", &FRAMES_PER_SECOND.to_string())?,
         )?,
         codec,
+        codecs,
         jpeg_quality: read_jpeg_quality(members)?.unwrap_or_default(),
         camera: members.required("camera", "a camera")?,
         renderer: members.member_or("renderer", RendererKind::default())?,
         quality: members.member_or("quality", None)?,
-        show: members
-            .member_or("show", Show::default())?
-            .for_codec(codec)?,
+        show,
         stereo,
         haze: members.member_or("haze", true)?,
         token: members.optional("token")?,
     })
+}
+
+/// Codecs in order of preference. A client may name some that are newer than this crate, as long as one is known.
+fn read_codecs(names: &Value) -> Result<Vec<Codec>, ValueError> {
+    let error = || {
+        let allowed = format!("1 to {CODECS_MAX} names, one of them of {}", Codec::names());
+        ValueError::new("/codecs", names, allowed)
+    };
+    let list = names
+        .as_array()
+        .filter(|list| (1..=CODECS_MAX).contains(&list.len()))
+        .ok_or_else(error)?;
+    let mut known = Vec::new();
+    for name in list {
+        let codec = Codec::of_name(name.as_str().ok_or_else(error)?);
+        known.extend(codec.filter(|codec| !known.contains(codec)));
+    }
+    if known.is_empty() {
+        return Err(error());
+    }
+    Ok(known)
 }
 
 fn read_jpeg_quality(members: &ObjectReader<'_>) -> Result<Option<JpegQuality>, ValueError> {
@@ -396,6 +449,24 @@ mod tests {
     }
 
     #[test]
+    fn of_the_codecs_that_a_client_lists_the_first_that_can_be_given_is_picked() {
+        let mut hello = hello_json();
+        hello["codecs"] = json!(["av1", "h264", "jpeg", "h264"]);
+        let picked = |hello: &Value, can_give: fn(Codec) -> bool| match read(hello) {
+            Ok(ClientMessage::Hello(hello)) => hello.picked_codec(can_give),
+            other => panic!("not a hello: {other:?}"),
+        };
+        assert_eq!(picked(&hello, |_| true), Codec::H264);
+        assert_eq!(picked(&hello, |codec| !codec.is_stream()), Codec::Jpeg);
+        // The list may stand alone, and so may the one codec.
+        if let Some(members) = hello.as_object_mut() {
+            members.remove("codec");
+        }
+        assert_eq!(picked(&hello, |_| true), Codec::H264);
+        assert_eq!(picked(&hello_json(), |_| true), Codec::Jpeg);
+    }
+
+    #[test]
     fn each_kind_of_bad_message_has_its_code_and_pointer() {
         let cases = [
             ("{", ErrorCode::BadJson, None),
@@ -476,6 +547,11 @@ mod tests {
             ("fps", json!(0.5), "/fps"),
             ("fps", json!(121), "/fps"),
             ("codec", json!("gif"), "/codec"),
+            ("codecs", json!("h264"), "/codecs"),
+            ("codecs", json!([]), "/codecs"),
+            ("codecs", json!(["av1", "gif"]), "/codecs"),
+            ("codecs", json!([1]), "/codecs"),
+            ("codecs", json!(vec!["h264"; 9]), "/codecs"),
             ("jpeg_quality", json!(101), "/jpeg_quality"),
             ("renderer", json!("raster"), "/renderer"),
             ("quality", json!({"budget_ms": 0}), "/quality/budget_ms"),
@@ -532,6 +608,7 @@ mod tests {
                 (false, true) => Codec::Clouds,
                 (false, false) => Codec::Jpeg,
             };
+            let codecs = if some[4] { vec![Codec::H264, codec] } else { Vec::new() };
             let jpeg_quality = JpegQuality::new(quality).expect("in range");
             let renderer = if screen_space { RendererKind::ScreenSpace } else { RendererKind::Cached };
             let show = if png { Show::Density } else { Show::Picture };
@@ -541,7 +618,7 @@ mod tests {
             prop_assume!(width <= 1920 || eyes.is_none());
             let messages = [
                 ClientMessage::Hello(Hello {
-                    codec, jpeg_quality, renderer, quality: quality.flatten(), show, stereo: stereo.flatten(), haze: some[2], ..Hello::new(size, fps, camera)
+                    codec, codecs: codecs.clone(), jpeg_quality, renderer, quality: quality.flatten(), show, stereo: stereo.flatten(), haze: some[2], ..Hello::new(size, fps, camera)
                 }),
                 ClientMessage::Camera(CameraInput { input: InputSequence(input), camera }),
                 ClientMessage::View(ViewChange {
@@ -558,6 +635,7 @@ mod tests {
                 ClientMessage::Ack(Acknowledgement {
                     sequence: FrameSequence(sequence), decode_us, present_us,
                 }),
+                ClientMessage::KeyFrame,
             ];
             for message in messages {
                 let text = serde_json::to_string(&message).expect("serialises");

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{CellId, RendererKind, Stereo, ViewerId};
+use crate::{CellId, Codec, RendererKind, Stereo, ViewerId};
 
 /// A message from a server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -39,6 +39,10 @@ pub struct Welcome {
     pub max_fps: f64,
     /// Length of the header of a binary frame.
     pub frame_header_bytes: u32,
+    /// How the client's frames are compressed: the first of its `codecs` that the server can give. While a view rests, exact
+    /// pictures may come as PNG beside a video.
+    #[serde(default)]
+    pub codec: Codec,
 }
 
 /// How things are, once a second.
@@ -87,6 +91,12 @@ pub struct Status {
     /// The two eyes whose pictures this client's frames hold; null for one.
     #[serde(default)]
     pub stereo: Option<Stereo>,
+    /// How this client's frames are compressed.
+    #[serde(default)]
+    pub codec: Codec,
+    /// The rate that its video aims at; null where frames are single pictures.
+    #[serde(default)]
+    pub target_kbit_per_s: Option<u32>,
 }
 
 /// What the server has picked for a client.

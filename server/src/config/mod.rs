@@ -9,6 +9,7 @@ mod tests;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
+use crate::encode::video::{KBIT_PER_S_MAX, KBIT_PER_S_MIN};
 use crate::march::{
     BANDS, BandEnds, DOME_FOLLOW_M, PROXIES_PER_LAYER_MAX, ProxySettings, ProxySetup,
 };
@@ -32,6 +33,9 @@ pub use sources::{ConfigError, Flags, Origin};
 pub const VIEWERS_MAX: NumberRange = NumberRange::new(1.0, 1024.0);
 /// How many threads may encode frames.
 pub const ENCODER_THREADS: NumberRange = NumberRange::new(1.0, 64.0);
+/// What a viewer's video may take of its line.
+pub const VIDEO_KBIT_PER_S: NumberRange =
+    NumberRange::new(KBIT_PER_S_MIN as f64, KBIT_PER_S_MAX as f64);
 /// After how long without progress a viewer is dropped.
 pub const VIEWER_STALL_S: NumberRange = NumberRange::new(1.0, 3600.0);
 /// How long no viewer is taken any more before the sessions are closed.
@@ -72,6 +76,9 @@ pub struct Config {
     pub viewers_max: u32,
     /// How many threads encode frames.
     pub encoder_threads: u32,
+    /// What the video of a viewer takes of its line at most, 100 to 50000 kbit/s. Without: 8000 at 1280x720, in proportion to
+    /// pixels.
+    pub video_kbit_per_s: Option<u32>,
     /// A viewer that takes or says nothing for this long is dropped.
     pub viewer_stall_s: f64,
     /// After SIGTERM: how long the server is not ready and takes no viewer before it closes the sessions.
@@ -358,6 +365,7 @@ impl Config {
         "state_dir",
         "viewers_max",
         "encoder_threads",
+        "video_kbit_per_s",
         "viewer_stall_s",
         "drain_s",
         "allowed_origins",
@@ -382,6 +390,7 @@ impl Config {
             viewers_max: 64,
             // More than eight would starve whatever feeds them.
             encoder_threads: cores.clamp(1, 8) as u32,
+            video_kbit_per_s: None,
             viewer_stall_s: 30.0,
             drain_s: 5.0,
             allowed_origins: Vec::new(),
@@ -425,6 +434,10 @@ impl Config {
                 ENCODER_THREADS,
                 default.encoder_threads,
             )?,
+            video_kbit_per_s: match members.optional::<u32>("video_kbit_per_s")? {
+                Some(rate) => Some(VIDEO_KBIT_PER_S.check_u32("/video_kbit_per_s", rate)?),
+                None => default.video_kbit_per_s,
+            },
             viewer_stall_s: number(
                 &members,
                 "viewer_stall_s",

@@ -33,6 +33,7 @@ const KEYS: &[(&str, Kind)] = &[
     ("state_dir", Kind::Text),
     ("viewers_max", Kind::Number),
     ("encoder_threads", Kind::Number),
+    ("video_kbit_per_s", Kind::Number),
     ("viewer_stall_s", Kind::Number),
     ("drain_s", Kind::Number),
     ("allowed_origins", Kind::List),

@@ -94,6 +94,11 @@ fn a_bad_value_is_told_with_its_source_and_what_is_allowed() {
             ["file ", "/viewers_max is 0; allowed: 1 to 1024"],
         ),
         (
+            "video_kbit_per_s = 99",
+            vec![],
+            ["file ", "/video_kbit_per_s is 99; allowed: 100 to 50000"],
+        ),
+        (
             "[render]\nsamples = 17",
             vec![],
             ["file ", "/render/samples is 17; allowed: 1 to 16"],

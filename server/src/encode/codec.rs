@@ -3,7 +3,7 @@
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use skycell_protocol::clouds::{self, CloudsError, CloudsHeader};
-use skycell_protocol::{Codec, FrameSize, ValueError};
+use skycell_protocol::{Codec, FrameSize};
 use thiserror::Error;
 
 /// Why pixels are not a picture.
@@ -28,46 +28,24 @@ pub enum EncodeError {
     /// The PNG encoder refuses.
     #[error("PNG: {0}")]
     Png(#[from] image::ImageError),
-    /// A codec that this server has no encoder for.
-    #[error("there is no encoder for {}", codec_name(*.0))]
-    NoEncoder(Codec),
-    /// Clouds alone are no picture.
-    #[error("clouds alone are no picture of red, green and blue")]
-    NoPicture,
     /// They are no clouds.
     #[error("clouds: {0}")]
     Clouds(#[from] CloudsError),
+    /// The pixels cannot be turned into a video's colours.
+    #[error("colours: {0}")]
+    Colours(String),
+    /// The H.264 encoder refuses.
+    #[error("H.264: {0}")]
+    H264(#[from] openh264::Error),
+    /// The H.264 encoder refuses an option.
+    #[error("H.264: an option is refused with status {0}")]
+    H264Option(i32),
+    /// A picture of a stream was asked for by itself, or a picture as a stream.
+    #[error("{0:?} is not made this way")]
+    WrongKind(Codec),
     /// The picture is longer than a frame header can tell.
     #[error("a picture of {0} bytes is too long")]
     TooLong(usize),
-}
-
-/// The codecs that there are encoders for.
-const CODECS: [Codec; 3] = [Codec::Jpeg, Codec::Png, Codec::Clouds];
-
-/// The codec as the wire calls it.
-fn codec_name(codec: Codec) -> &'static str {
-    match codec {
-        Codec::Jpeg => "jpeg",
-        Codec::Png => "png",
-        Codec::H264 => "h264",
-        Codec::Clouds => "clouds",
-    }
-}
-
-/// Whether there is an encoder for a codec that a viewer asks for.
-///
-/// # Errors
-/// Names the codec and those that there are.
-pub fn check_codec(codec: Codec) -> Result<(), ValueError> {
-    if CODECS.contains(&codec) {
-        return Ok(());
-    }
-    Err(ValueError::new(
-        "/codec",
-        &codec_name(codec).into(),
-        CODECS.map(codec_name).join(", "),
-    ))
 }
 
 /// Appends the picture of `rgba` (rows from top to bottom, 4 bytes a pixel) to `out`. Reads the
@@ -110,8 +88,7 @@ pub fn encode_after(
                 ExtendedColorType::Rgba8,
             )?;
         }
-        Codec::H264 => return Err(EncodeError::NoEncoder(codec)),
-        Codec::Clouds => return Err(EncodeError::NoPicture),
+        Codec::H264 | Codec::Clouds => return Err(EncodeError::WrongKind(codec)),
     }
     Ok(())
 }

@@ -1,8 +1,18 @@
 //! Pixels become pictures: a bounded pool of threads, at most one job per viewer.
+//!
+//! JPEG and PNG are single pictures (`codec`). A video (`video`) is a stream whose pictures build on one another, so none of
+//! it may be lost once it is encoded: while an encoded picture still waits for the socket, the next stays in pixels, where a
+//! newer one replaces it.
 
 mod codec;
+pub mod h264;
+pub mod i420;
+mod stream;
 #[cfg(test)]
 mod tests;
+pub mod video;
+#[cfg(test)]
+mod video_tests;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -10,13 +20,18 @@ use std::time::Instant;
 
 use skycell_protocol::{Codec, FrameHeader, FrameStages};
 
-pub use codec::{EncodeError, check_codec, encode_after, encode_clouds_after};
+pub use codec::{EncodeError, encode_after, encode_clouds_after};
+pub use stream::{StreamPicture, ViewerStream};
 
 use crate::clock::saturating_us;
-use crate::frame_loop::interface::{FinishedFrame, FrameSink};
+use crate::frame_loop::interface::{FinishedFrame, FrameSink, Refinement};
 use crate::metrics::Metrics;
 use crate::viewers::{EncodedFrame, Viewer, ViewerRegistry};
 use skycell_protocol::frame::FRAME_HEADER_BYTES;
+
+/// The exact picture of a view that rests may keep a line busy for this long that carries no more than the video's rate:
+/// whoever turns meanwhile waits for it. It has about a second's worth of the full rate.
+const EXACT_MAX_S: f64 = 2.0;
 
 /// Takes finished frames from the frame loop and leaves encoded ones with their viewers.
 pub struct EncoderPool {
@@ -45,6 +60,19 @@ impl EncoderPool {
             threads,
         }))
     }
+
+    /// Goes on with a viewer whose next frame waited until its socket had taken the one before.
+    pub fn go_on(&self, viewer: &Arc<Viewer>) {
+        if viewer.resumes_encoding() {
+            self.start(Arc::clone(viewer));
+        }
+    }
+
+    fn start(&self, viewer: Arc<Viewer>) {
+        let metrics = Arc::clone(&self.metrics);
+        self.threads
+            .spawn_fifo(move || encode_waiting(viewer, metrics));
+    }
 }
 
 impl FrameSink for EncoderPool {
@@ -57,9 +85,7 @@ impl FrameSink for EncoderPool {
             count_drop(&viewer, &self.metrics);
         }
         if needs_job {
-            let metrics = Arc::clone(&self.metrics);
-            self.threads
-                .spawn_fifo(move || encode_waiting(viewer, metrics));
+            self.start(viewer);
         }
     }
 }
@@ -70,7 +96,7 @@ fn encode_waiting(viewer: Arc<Viewer>, metrics: Arc<Metrics>) {
         return;
     };
     // A panic in a codec must not end the pool, and the viewer must hear of it.
-    let result = catch_unwind(AssertUnwindSafe(|| encode(frame, &metrics)));
+    let result = catch_unwind(AssertUnwindSafe(|| encode(&viewer, frame, &metrics)));
     match result {
         Ok(Ok(encoded)) => {
             if viewer.outbox().put(encoded).is_some() {
@@ -94,39 +120,53 @@ fn count_drop(viewer: &Viewer, metrics: &Metrics) {
     metrics.frames_dropped.increment(1);
 }
 
-fn encode(frame: FinishedFrame, metrics: &Metrics) -> Result<EncodedFrame, EncodeError> {
+/// What was made of a frame.
+struct Made {
+    codec: Codec,
+    is_key: bool,
+    is_exact: bool,
+    target_kbit_per_s: u32,
+}
+
+fn encode(
+    viewer: &Viewer,
+    frame: FinishedFrame,
+    metrics: &Metrics,
+) -> Result<EncodedFrame, EncodeError> {
     let started = Instant::now();
     let waited = started.saturating_duration_since(frame.read_back);
     metrics.encode_wait_s.record(waited);
     let mut message = vec![0; FRAME_HEADER_BYTES];
-    let pixels = frame.pixels.rgba();
-    match &frame.clouds {
-        Some(header) => encode_clouds_after(&mut message, pixels, header)?,
-        None => encode_after(
-            &mut message,
-            pixels,
-            frame.size,
-            frame.codec,
-            frame.jpeg_quality,
-        )?,
-    }
+    let made = if frame.codec.is_stream() {
+        encode_stream(viewer, &frame, started, &mut message)?
+    } else {
+        viewer.stream().end();
+        match &frame.clouds {
+            Some(header) => encode_clouds_after(&mut message, frame.pixels.rgba(), header)?,
+            None => encode_picture(&frame, frame.codec, &mut message)?,
+        }
+        Made {
+            codec: frame.codec,
+            is_key: true,
+            is_exact: frame.exact,
+            target_kbit_per_s: 0,
+        }
+    };
     let encoded = Instant::now();
     let encode_time = encoded.saturating_duration_since(started);
-    match frame.codec {
+    match made.codec {
         Codec::Jpeg => metrics.encode_jpeg_s.record(encode_time),
         Codec::Png => metrics.encode_png_s.record(encode_time),
-        // No encoder makes it.
-        Codec::H264 => {}
+        Codec::H264 => metrics.encode_h264_s.record(encode_time),
         Codec::Clouds => metrics.encode_clouds_s.record(encode_time),
     }
     let header = FrameHeader {
-        codec: frame.codec.into(),
+        codec: made.codec.into(),
         heartbeat: false,
         coarse: frame.coarse,
         stereo: frame.stereo,
-        // Each picture is whole.
-        key: true,
-        exact: frame.exact,
+        key: made.is_key,
+        exact: made.is_exact,
         sequence: frame.sequence,
         // At most 3840 and 2160.
         width: frame.size.width() as u16,
@@ -143,7 +183,77 @@ fn encode(frame: FinishedFrame, metrics: &Metrics) -> Result<EncodedFrame, Encod
         },
         payload_bytes: u32::try_from(message.len() - FRAME_HEADER_BYTES)
             .map_err(|_| EncodeError::TooLong(message.len()))?,
-        target_kbit_per_s: 0,
+        target_kbit_per_s: made.target_kbit_per_s,
     };
     Ok(EncodedFrame::new(header, message, encoded))
+}
+
+fn encode_picture(
+    frame: &FinishedFrame,
+    codec: Codec,
+    message: &mut Vec<u8>,
+) -> Result<(), EncodeError> {
+    let rgba = frame.pixels.rgba();
+    encode_after(message, rgba, frame.size, codec, frame.jpeg_quality)
+}
+
+/// The next picture of a viewer's stream; the last one of a view that rests is an exact one beside it, where the line has it
+/// soon.
+fn encode_stream(
+    viewer: &Viewer,
+    frame: &FinishedFrame,
+    now: Instant,
+    message: &mut Vec<u8>,
+) -> Result<Made, EncodeError> {
+    let target_kbit_per_s = viewer.target_kbit_per_s();
+    let is_last = frame.refinement == Refinement::Last;
+    if is_last {
+        encode_picture(frame, Codec::Png, message)?;
+        let kbit = (message.len() - FRAME_HEADER_BYTES) as f64 * 8e-3;
+        if kbit <= f64::from(target_kbit_per_s) * EXACT_MAX_S {
+            return Ok(Made {
+                codec: Codec::Png,
+                is_key: true,
+                is_exact: true,
+                target_kbit_per_s,
+            });
+        }
+        message.truncate(FRAME_HEADER_BYTES);
+    }
+    let picture = StreamPicture {
+        rgba: frame.pixels.rgba(),
+        size: frame.size,
+        codec: frame.codec,
+        target_kbit_per_s,
+        fps_max: viewer.view().fps as f32,
+    };
+    let mut wants_key = viewer.takes_key_wish();
+    let unit = viewer
+        .stream()
+        .encode(&picture, &mut wants_key, now, message);
+    let unit = match unit {
+        Ok(unit) => unit,
+        Err(error) => {
+            // OpenH264 has no room for pictures of nothing but noise. The next picture begins the stream anew.
+            tracing::warn!(viewer = %viewer.id(), %error, "a picture of a video is sent as JPEG");
+            message.truncate(FRAME_HEADER_BYTES);
+            encode_picture(frame, Codec::Jpeg, message)?;
+            return Ok(Made {
+                codec: Codec::Jpeg,
+                is_key: true,
+                is_exact: is_last,
+                target_kbit_per_s,
+            });
+        }
+    };
+    if wants_key {
+        viewer.wish_key();
+    }
+    Ok(Made {
+        codec: frame.codec,
+        is_key: unit.is_key,
+        // Nothing finer comes, though it is not the very picture.
+        is_exact: is_last,
+        target_kbit_per_s,
+    })
 }

@@ -142,6 +142,18 @@ pub trait FramePixels: Send {
     fn rgba(&self) -> &[u8];
 }
 
+/// What a frame is to those who saw the one before.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Refinement {
+    /// It shows something new.
+    #[default]
+    None,
+    /// It shows the same, so that a video can come closer to it.
+    Finer,
+    /// It shows the same for the last time: the view rests.
+    Last,
+}
+
 /// A frame that has been read back and waits to be encoded.
 pub struct FinishedFrame {
     /// Whose frame it is.
@@ -168,6 +180,8 @@ pub struct FinishedFrame {
     pub coarse: bool,
     /// Nothing finer comes while the view rests.
     pub exact: bool,
+    /// Whether it shows the same as the one before.
+    pub refinement: Refinement,
     /// How long it took until `read_back`; what comes later is still 0.
     pub stages: FrameStages,
     /// Wall clock when the composite was submitted to the GPU ([`crate::clock::unix_now_us`]).

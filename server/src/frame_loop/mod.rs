@@ -18,6 +18,7 @@ mod pacing;
 mod passes;
 mod qualities;
 mod reanchoring;
+mod refining;
 mod renderer;
 mod renderer_fade;
 mod screen_space;

@@ -2,9 +2,10 @@
 
 use super::device_loss::{self, LoopPlan};
 use super::interface::{
-    DeviceLossStats, FRAMES_IN_FLIGHT_MAX, FrameLoopHandle, FrameSink, RenderCommand, RenderStats,
-    StatsCell, ViewRequest, render_command_channel,
+    DeviceLossStats, FRAMES_IN_FLIGHT_MAX, FrameLoopHandle, FrameSink, Refinement, RenderCommand,
+    RenderStats, StatsCell, ViewRequest, render_command_channel,
 };
+use super::refining::Refining;
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
 use crate::clock;
@@ -72,6 +73,8 @@ struct Pace {
     change: Change,
     /// A frame is due and waits for tiles.
     is_held: bool,
+    /// How far a video has come to the picture that it shows.
+    refining: Refining,
 }
 
 /// The render thread.
@@ -249,6 +252,7 @@ impl FrameLoop {
             composited: None,
             change: Change::Seen,
             is_held: false,
+            refining: Refining::default(),
         };
         self.paces.insert(viewer, pace);
     }
@@ -331,6 +335,7 @@ impl FrameLoop {
                 self.composited(viewer, now);
             }
         }
+        self.refine(now);
         self.audit(now);
         let marched = self.march(now);
         self.publish(now, false);
@@ -532,6 +537,7 @@ impl FrameLoop {
                 now + interval
             };
             pace.composited = Some(now);
+            pace.refining.made(Refinement::None);
             pace.is_held = false;
             // Two cells that are mixed are another picture in every frame.
             pace.change = if viewer.fades() {
@@ -539,6 +545,44 @@ impl FrameLoop {
             } else {
                 Change::None
             };
+        }
+    }
+
+    /// The next picture of each video that comes closer to what it shows, and when it is due: of views that rest.
+    fn refinements(&self) -> Vec<(ViewerId, Instant, Refinement)> {
+        let interval = self.refine_interval();
+        let mut next = Vec::new();
+        for (id, pace) in &self.paces {
+            let (Some(newest), Change::None) = (pace.composited, pace.change) else {
+                continue;
+            };
+            if let Some((due, refinement)) = pace.refining.next(newest, interval)
+                && let Some(viewer) = self.renderer.viewers.get(id)
+                && self.renderer.may_be_refined(*id, viewer)
+            {
+                next.push((*id, due, refinement));
+            }
+        }
+        next
+    }
+
+    /// Makes the pictures that let videos come closer to what they show.
+    fn refine(&mut self, now: Instant) {
+        for (id, due, refinement) in self.refinements() {
+            if due > now {
+                continue;
+            }
+            if let Some(viewer) = self.renderer.viewers.get_mut(&id) {
+                viewer.refinement = refinement;
+            }
+            let made = self.renderer.composite(&[id], &self.sink);
+            if let Some(viewer) = self.renderer.viewers.get_mut(&id) {
+                viewer.refinement = Refinement::None;
+            }
+            if let (Some(pace), false) = (self.paces.get_mut(&id), made.is_empty()) {
+                pace.composited = Some(now);
+                pace.refining.made(refinement);
+            }
         }
     }
 
@@ -693,6 +737,7 @@ impl FrameLoop {
                     for viewer in self.renderer.composite(&[id], &self.sink) {
                         if let Some(pace) = self.paces.get_mut(&viewer) {
                             pace.composited = Some(now);
+                            pace.refining.made(Refinement::None);
                         }
                     }
                 }
@@ -739,7 +784,8 @@ impl FrameLoop {
         if marching == Marching::More {
             return Duration::ZERO;
         }
-        let next = self.next_due();
+        let refined = self.refinements().into_iter().map(|(_, due, _)| due).min();
+        let next = self.next_due().into_iter().chain(refined).min();
         let rest = if self.renderer.sky_is_changing() || self.renderer.air.is_moving() {
             Duration::from_millis(20)
         } else {

@@ -210,6 +210,7 @@ impl SkyRenderer {
             viewer.sequence = viewer.sequence.wrapping_add(1);
             viewer.frames_composited += 1;
             self.counters.frames_composited += 1;
+            let refinement = viewer.refinement;
             let (view, input, cell) = (viewer.view, viewer.input, viewer.cell);
             let (sequence, scene_revision) = (FrameSequence(viewer.sequence), self.scene_revision);
             let (sink, read_back) = (sink.clone(), self.counters.frames_read_back.clone());
@@ -240,6 +241,7 @@ impl SkyRenderer {
                     }),
                     coarse,
                     exact,
+                    refinement,
                     stages,
                     submitted_unix_us,
                     read_back: now,
@@ -271,6 +273,16 @@ impl SkyRenderer {
                 .transition
                 .as_ref()
                 .is_some_and(|left| is_coarse(left.from, &left.requests))
+    }
+
+    /// Whether the video of a viewer may come closer to the picture that it has: nothing of that changes any more.
+    pub(super) fn may_be_refined(&self, id: ViewerId, viewer: &ActiveViewer) -> bool {
+        viewer.view.codec.is_stream()
+            && viewer.frames_in_flight() == 0
+            && viewer.frames_composited > 0
+            && !self.sky_is_changing()
+            && !self.shows_coarse(viewer)
+            && self.is_exact(id, viewer, &mut BTreeMap::new())
     }
 
     /// Whether a viewer's picture gets no finer while it rests. What it finds out about cells is kept in `pending`.

@@ -1,7 +1,7 @@
 //! Viewers on the device: who joins, moves, changes its wishes and leaves.
 
 use super::cells_on_device::parallax_steps;
-use super::interface::ViewRequest;
+use super::interface::{Refinement, ViewRequest};
 use super::qualities::ViewerQuality;
 use super::renderer::SkyRenderer;
 use super::renderer_fade::RendererFade;
@@ -11,7 +11,7 @@ use crate::cache::{LEVELS, TEXELS_PER_TILE, TileRequest};
 use crate::composite::{Picture, PictureFormat, dither_shift, view_frustum, view_uniform};
 use crate::gpu::{Gpu, Pipelines, ReadbackRing};
 use crate::march::{REACH_FADE_M, REACH_M, Side};
-use skycell_protocol::{Camera, CellId, InputSequence, RendererKind, ViewerId};
+use skycell_protocol::{Camera, CellId, Codec, InputSequence, RendererKind, ViewerId};
 use skycell_shaders::layout;
 use std::time::{Duration, Instant};
 
@@ -45,6 +45,8 @@ pub(super) struct ActiveViewer {
     pub(super) sequence: u32,
     pub(super) acknowledged: u32,
     pub(super) frames_composited: u64,
+    /// What its next frame is.
+    pub(super) refinement: Refinement,
 }
 
 impl ActiveViewer {
@@ -70,6 +72,15 @@ impl ActiveViewer {
             Some(
                 "the camera is in a layer of clouds, where the cache does not hold; rays of its own make its frames",
             )
+        }
+    }
+
+    /// How its next frame is compressed as far as dither goes: the last one of a view that rests is likely an exact one.
+    fn codec_of_frame(&self) -> Codec {
+        if self.refinement == Refinement::Last {
+            Codec::Png
+        } else {
+            self.view.codec
         }
     }
 
@@ -123,6 +134,7 @@ impl SkyRenderer {
             sequence: 0,
             acknowledged: 0,
             frames_composited: 0,
+            refinement: Refinement::None,
         };
         self.viewers.insert(id, viewer);
         self.prepare_views();
@@ -282,7 +294,7 @@ impl SkyRenderer {
         let cell = self.active_cells.get(&cell)?;
         let frustum = view_frustum(eye, viewer.view.size, &cell.frame);
         let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
-        view.dither_shift = dither_shift(viewer.view.codec);
+        view.dither_shift = dither_shift(viewer.codec_of_frame());
         let domes = self.kept_on.has_domes();
         if viewer.kind == RendererKind::Cached {
             view.near_layers = self.near_layers_of(cell);

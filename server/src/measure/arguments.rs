@@ -1,6 +1,7 @@
 //! What `skycell-server measure` is asked for.
 
 use super::ageing::AgeingArguments;
+use super::codec::CodecArguments;
 use super::distance::DistanceArguments;
 use super::living::LivingArguments;
 use super::metrics::COMPARED_SIDE_MIN;
@@ -82,6 +83,13 @@ pub enum Measurement {
     /// How far the light that clouds scatter more than once is from the path tracer's, over shapes from thin to thick.
     #[command(after_help = "Example: skycell-server measure octaves --fit")]
     Octaves(OctavesArguments),
+    /// What compression takes from the picture while a view turns: H.264 at several rates, JPEG at several qualities, decoded
+    /// and compared by FLIP with the picture before: codec.json and codec.html in the folder of --out.
+    #[command(
+        after_help = "Examples:\n  skycell-server measure codec --out codec && xdg-open codec/codec.html\n  skycell-server \
+                      measure codec --sizes 320x180 --rates-kbit-per-s 500,1000 --seconds 1 --out codec"
+    )]
+    Codec(Box<CodecArguments>),
 }
 
 /// What `measure gallery` is asked for.

@@ -5,6 +5,7 @@
 
 mod ageing;
 mod arguments;
+pub mod codec;
 pub mod distance;
 pub mod front;
 mod gallery;
@@ -43,5 +44,6 @@ pub fn run(arguments: &MeasureArguments) -> anyhow::Result<()> {
         Measurement::Ageing(arguments) => ageing::run(arguments),
         Measurement::Living(arguments) => living::run(arguments),
         Measurement::Octaves(arguments) => octaves::run(arguments),
+        Measurement::Codec(arguments) => codec::run(arguments),
     }
 }

@@ -165,6 +165,8 @@ impl ServiceParts {
             frame_loop: frame_loop.clone(),
             scene: Arc::clone(&self.scene),
             metrics: Arc::clone(&self.metrics),
+            encoders: self.encoders,
+            video_kbit_per_s: self.config.video_kbit_per_s,
             stall: Duration::from_secs_f64(self.config.viewer_stall_s),
             gate,
             allowed_origins: self.config.allowed_origins,

@@ -3,13 +3,10 @@
 use std::time::Duration;
 
 use axum::extract::ws::{Message, WebSocket};
-use skycell_protocol::message::{
-    ClientMessage, ErrorCode, ErrorMessage, Hello, MessageError, ServerMessage,
-};
+use skycell_protocol::message::{ClientMessage, ErrorCode, ErrorMessage, Hello, ServerMessage};
 
 use super::end::End;
 use super::outbound::text_of;
-use crate::encode::check_codec;
 
 /// How long a client may take to say hello.
 pub(super) const HELLO_TIMEOUT: Duration = Duration::from_secs(5);
@@ -31,10 +28,7 @@ async fn receive_untimed(socket: &mut WebSocket) -> Result<Hello, End> {
         };
         let error: ErrorMessage = match message {
             Message::Text(text) => match ClientMessage::from_json_text(&text) {
-                Ok(ClientMessage::Hello(hello)) => match check_codec(hello.codec) {
-                    Ok(()) => return Ok(hello),
-                    Err(error) => MessageError::from(error).to_message(),
-                },
+                Ok(ClientMessage::Hello(hello)) => return Ok(hello),
                 Ok(_) => return Err(End::hello_expected("the first message must be a hello")),
                 Err(error) if error.code() == ErrorCode::WrongProtocol => {
                     return Err(End::wrong_version(error.to_message()));

@@ -15,7 +15,6 @@ use super::end::End;
 use super::pace::{Due, InputPace};
 use crate::access::Refusal;
 use crate::clock::unix_now_us;
-use crate::encode::check_codec;
 use crate::frame_loop::interface::{FrameLoopGone, RenderCommand, ViewRequest};
 use crate::viewers::Viewer;
 
@@ -99,15 +98,19 @@ impl Inbound<'_> {
                 Ok(())
             }
             ClientMessage::Ack(acknowledgement) => self.acknowledge(acknowledgement),
+            ClientMessage::KeyFrame => {
+                self.viewer.wish_key();
+                // A view that rests would have no next picture.
+                self.pace.view();
+                Ok(())
+            }
         }
     }
 
     fn change_view(&mut self, change: ViewChange) {
         let before = self.viewer.view();
         let allowed = change
-            .codec
-            .map_or(Ok(()), check_codec)
-            .and_then(|()| change.show_after(before.show, before.codec))
+            .show_after(before.show, before.codec)
             .and_then(|shown| Ok((change.size_after(before.size, before.stereo)?, shown)));
         let ((size, stereo), (show, codec)) = match allowed {
             Ok(after) => after,
@@ -128,7 +131,7 @@ impl Inbound<'_> {
                 pointer: Some("/width".to_owned()),
             });
         }
-        self.viewer.change_view(|view| {
+        let view = self.viewer.change_view(|view| {
             view.size = size;
             view.stereo = stereo;
             view.fps = change.fps.unwrap_or(view.fps);
@@ -140,6 +143,8 @@ impl Inbound<'_> {
             view.show = show;
             view.haze = change.haze.unwrap_or(view.haze);
         });
+        self.viewer
+            .set_target_kbit_per_s(self.context.video_rate_kbit_per_s(view.picture_size()));
         self.pace.view();
     }
 

@@ -21,13 +21,15 @@ use axum::extract::{Extension, State};
 use axum::http::StatusCode;
 use axum::http::header::{HeaderValue, RETRY_AFTER};
 use axum::response::Response;
-use skycell_protocol::{INBOUND_MESSAGE_MAX_BYTES, SUBPROTOCOL};
+use skycell_protocol::{FrameSize, INBOUND_MESSAGE_MAX_BYTES, SUBPROTOCOL};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 use crate::access::{Gate, Peer};
 use crate::api::Problem;
+use crate::encode::EncoderPool;
+use crate::encode::video::full_rate_kbit_per_s;
 use crate::frame_loop::interface::FrameLoopHandle;
 use crate::metrics::Metrics;
 use crate::scene::SceneStore;
@@ -53,6 +55,10 @@ pub struct StreamContext {
     pub scene: Arc<SceneStore>,
     /// The service's figures.
     pub metrics: Arc<Metrics>,
+    /// Who makes pictures of pixels.
+    pub encoders: Arc<EncoderPool>,
+    /// The rate that videos aim at; none for what their size says.
+    pub video_kbit_per_s: Option<u32>,
     /// A viewer that takes or says nothing for this long is dropped.
     pub stall: Duration,
     /// Who may what.
@@ -67,6 +73,14 @@ pub struct StreamContext {
     pub sessions: TaskTracker,
     /// Bounds connections that have not said hello together with those that have.
     pub connections: Arc<Semaphore>,
+}
+
+impl StreamContext {
+    /// The rate that a video of a size aims at while its line holds it.
+    pub fn video_rate_kbit_per_s(&self, size: FrameSize) -> u32 {
+        self.video_kbit_per_s
+            .unwrap_or_else(|| full_rate_kbit_per_s(size))
+    }
 }
 
 /// As many connections as `viewers_max` viewers and those who are about to say hello need.

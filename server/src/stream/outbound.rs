@@ -1,5 +1,6 @@
 //! Frames, heartbeats, status and answers on their way to a viewer.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::ws::{Message, WebSocket};
@@ -42,7 +43,7 @@ pub(super) async fn write(
     sink: &mut SplitSink<WebSocket, Message>,
     welcome: &ServerMessage,
     mut answers: mpsc::Receiver<ServerMessage>,
-    viewer: &Viewer,
+    viewer: &Arc<Viewer>,
     context: &StreamContext,
 ) -> End {
     let mut outbound = Outbound {
@@ -66,7 +67,10 @@ pub(super) async fn write(
     loop {
         let heartbeat_at = outbound.last_binary_at + HEARTBEAT_INTERVAL;
         let result = tokio::select! {
-            frame = viewer.outbox().next() => outbound.frame(frame).await,
+            frame = viewer.outbox().next() => {
+                context.encoders.go_on(viewer);
+                outbound.frame(frame).await
+            }
             Some(answer) = answers.recv() => outbound.say(&answer).await,
             _ = status.tick() => outbound.status().await,
             () = tokio::time::sleep_until(heartbeat_at) => outbound.heartbeat().await,
@@ -202,5 +206,11 @@ fn status_of(
         show_note: known.and_then(|known| known.show_note.map(str::to_owned)),
         loss_note: figures.and_then(|cell| cell.loss_note.clone()),
         stereo: viewer.view().stereo,
+        codec: viewer.view().codec,
+        target_kbit_per_s: viewer
+            .view()
+            .codec
+            .is_stream()
+            .then(|| viewer.target_kbit_per_s()),
     }
 }

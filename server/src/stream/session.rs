@@ -92,7 +92,8 @@ async fn serve(
     let view = ViewRequest {
         size: hello.size,
         fps: hello.fps,
-        codec: hello.codec,
+        // Every codec of the protocol has its encoder.
+        codec: hello.picked_codec(|_| true),
         jpeg_quality: hello.jpeg_quality.get(),
         camera: hello.camera,
         renderer: hello.renderer,
@@ -112,6 +113,7 @@ async fn serve(
             return End::too_many_viewers(error.to_string());
         }
     };
+    viewer.set_target_kbit_per_s(context.video_rate_kbit_per_s(view.picture_size()));
     tracing::info!(
         viewer = %viewer.id(),
         width = view.size.width(),
@@ -156,6 +158,7 @@ fn welcome(viewer: &Viewer, context: &StreamContext) -> Welcome {
         max_height: FRAME_HEIGHT_MAX,
         max_fps: FRAMES_PER_SECOND.max,
         frame_header_bytes: FRAME_HEADER_BYTES as u32,
+        codec: viewer.view().codec,
     }
 }
 

@@ -41,6 +41,12 @@ impl<T> LatestSlot<T> {
             .take()
     }
 
+    /// Whether a value waits.
+    pub fn is_full(&self) -> bool {
+        let value = self.value.lock();
+        value.unwrap_or_else(PoisonError::into_inner).is_some()
+    }
+
     /// Waits for a value and takes it. For one taker at a time; to stop waiting loses nothing.
     pub async fn next(&self) -> T {
         loop {

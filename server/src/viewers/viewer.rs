@@ -1,5 +1,6 @@
 //! One connected viewer, as its socket, the encoders and the API share it.
 
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -12,6 +13,8 @@ use super::figures::ViewerFigures;
 use super::pixels::PixelShare;
 use super::slot::LatestSlot;
 use crate::clock::saturating_us;
+use crate::encode::ViewerStream;
+use crate::encode::video::full_rate_kbit_per_s;
 use crate::frame_loop::interface::{FinishedFrame, ViewRequest};
 
 /// A frame that waits to be sent.
@@ -63,6 +66,10 @@ pub struct Viewer {
     outbox: LatestSlot<EncodedFrame>,
     failed: Notify,
     pixels: PixelShare,
+    /// Of the viewer's one job; nobody else waits for it.
+    stream: Mutex<ViewerStream>,
+    wants_key: AtomicBool,
+    target_kbit_per_s: AtomicU32,
 }
 
 impl Viewer {
@@ -76,6 +83,9 @@ impl Viewer {
             outbox: LatestSlot::default(),
             failed: Notify::new(),
             pixels,
+            stream: Mutex::default(),
+            wants_key: AtomicBool::new(false),
+            target_kbit_per_s: AtomicU32::new(full_rate_kbit_per_s(view.picture_size())),
         }
     }
 
@@ -130,14 +140,53 @@ impl Viewer {
         (replaced, needs_job)
     }
 
-    /// Takes the frame that waits to be encoded. With none left, the job is over.
+    /// Takes the frame that waits to be encoded. With none left, the job is over; and when the frame is of a video and the one
+    /// before has not been sent yet, which must not be replaced once it is encoded.
     pub fn take_for_encoding(&self) -> Option<FinishedFrame> {
         let mut inbox = lock(&self.inbox);
-        let frame = inbox.frame.take();
+        let waits = inbox.frame.as_ref().is_some_and(|f| f.codec.is_stream());
+        let frame = if waits && self.outbox.is_full() {
+            None
+        } else {
+            inbox.frame.take()
+        };
         if frame.is_none() {
             inbox.has_job = false;
         }
         frame
+    }
+
+    /// Whether a job has to be started because a frame waited until the one before was sent.
+    pub fn resumes_encoding(&self) -> bool {
+        let mut inbox = lock(&self.inbox);
+        let resumes = inbox.frame.is_some() && !inbox.has_job;
+        inbox.has_job |= resumes;
+        resumes
+    }
+
+    /// Its video.
+    pub fn stream(&self) -> MutexGuard<'_, ViewerStream> {
+        lock(&self.stream)
+    }
+
+    /// Says that the next picture of its video is to need no earlier one.
+    pub fn wish_key(&self) {
+        self.wants_key.store(true, Ordering::Release);
+    }
+
+    /// Whether that was said; the wish is then forgotten.
+    pub fn takes_key_wish(&self) -> bool {
+        self.wants_key.swap(false, Ordering::AcqRel)
+    }
+
+    /// The rate that its video aims at, kbit/s.
+    pub fn target_kbit_per_s(&self) -> u32 {
+        self.target_kbit_per_s.load(Ordering::Acquire)
+    }
+
+    /// Sets the rate that its video aims at.
+    pub fn set_target_kbit_per_s(&self, kbit_per_s: u32) {
+        self.target_kbit_per_s.store(kbit_per_s, Ordering::Release);
     }
 
     /// Lets go of what waits and takes nothing more.

@@ -14,6 +14,7 @@ mod sky_time;
 mod stand_in;
 mod stream;
 mod stream_refusals;
+mod stream_video;
 mod tls;
 mod tokens;
 mod world;

@@ -12,8 +12,8 @@ use skycell_protocol::{CellId, FrameSequence, FrameStages, InputSequence, Viewer
 use skycell_server::clock::unix_now_us;
 use skycell_server::frame_loop::interface::{
     AdapterStats, CellStats, FRAMES_IN_FLIGHT_MAX, FinishedFrame, FrameLoopHandle, FramePixels,
-    FrameSink, RenderCommand, RenderStats, RenderTotals, StatsCell, ViewRequest, ViewerRenderStats,
-    render_command_channel,
+    FrameSink, Refinement, RenderCommand, RenderStats, RenderTotals, StatsCell, ViewRequest,
+    ViewerRenderStats, render_command_channel,
 };
 use skycell_server::scene::SceneSnapshot;
 
@@ -201,6 +201,10 @@ impl State {
             // Whose frame it is, for those who look.
             rgba[..4].copy_from_slice(&id.0.to_le_bytes());
             rgba[3] = u8::MAX;
+            if state.view.codec.is_stream() {
+                // A video of nothing but noise has no encoder.
+                rgba.iter_mut().for_each(|value| *value = *value / 4 + 90);
+            }
             if self.behaviour.breaks_frames {
                 rgba.pop();
             }
@@ -217,6 +221,7 @@ impl State {
                 clouds: None,
                 coarse: state.composited == 1,
                 exact: state.composited > 1,
+                refinement: Refinement::None,
                 stages: FrameStages::default(),
                 submitted_unix_us: unix_now_us(),
                 read_back: now,
