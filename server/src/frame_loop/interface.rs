@@ -14,6 +14,7 @@ use std::time::Instant;
 use crate::audit::AuditStats;
 use crate::gpu::DeviceInventory;
 use crate::quality::QualitySettings;
+use schemars::JsonSchema;
 use serde::Serialize;
 use skycell_protocol::clouds::CloudsHeader;
 use skycell_protocol::{
@@ -286,7 +287,7 @@ impl Drop for ReadyGuard {
 }
 
 /// The frame loop's figures, published about once a tick.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct RenderStats {
     /// What renders.
     pub adapter: AdapterStats,
@@ -319,7 +320,7 @@ pub struct RenderStats {
 }
 
 /// Losses of the device. Viewers stay; they see their last picture until another device is open.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct DeviceLossStats {
     /// How often it was lost since the start.
     pub losses: u64,
@@ -332,7 +333,7 @@ pub struct DeviceLossStats {
 }
 
 /// The sky's clock, and what it costs.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct SkyTimeStats {
     /// Sky time.
     pub sky_s: f64,
@@ -351,7 +352,7 @@ pub struct SkyTimeStats {
 }
 
 /// The graphics adapter.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct AdapterStats {
     /// What it calls itself.
     pub name: String,
@@ -364,7 +365,7 @@ pub struct AdapterStats {
 }
 
 /// Sums since the frame loop's start; `cache_bytes`, `sun_volume_bytes` and `light_shaft_bytes` are what is allocated now.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct RenderTotals {
     /// Turns of the loop.
     pub ticks: u64,
@@ -425,7 +426,7 @@ pub struct RenderTotals {
 }
 
 /// Viewers on their way from one view cell to another, or from a cell's old anchors to its new ones, and what that takes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct TransitionStats {
     /// Viewers on their way now.
     pub viewers: u64,
@@ -443,7 +444,7 @@ pub struct TransitionStats {
 }
 
 /// What is given up because memory or the time for marching do not suffice. All is 0, and factors 1, where nothing is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct LossStats {
     /// Tiles that all caches may hold.
     pub tiles_max: u64,
@@ -474,7 +475,7 @@ pub struct LossStats {
 }
 
 /// A view cell.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct CellStats {
     /// Its number.
     pub id: CellId,
@@ -521,7 +522,7 @@ pub struct CellStats {
 }
 
 /// A viewer as the frame loop sees it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct ViewerRenderStats {
     /// Its number.
     pub id: ViewerId,
@@ -552,7 +553,7 @@ pub struct ViewerRenderStats {
 }
 
 /// Who asked for a quality.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum AskedBy {
     /// The viewer itself.
@@ -565,7 +566,7 @@ pub enum AskedBy {
 }
 
 /// A quality: what is asked for, what is picked, what it achieves.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct QualityStats {
     /// What is asked for.
     pub asked: Option<QualityChoice>,

@@ -26,8 +26,10 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
+pub(crate) use session::LeaveOnDrop;
+
 use crate::access::{Gate, Peer};
-use crate::api::Problem;
+use crate::api::{Problem, SnapshotQueue};
 use crate::frame_loop::interface::FrameLoopHandle;
 use crate::metrics::Metrics;
 use crate::scene::SceneStore;
@@ -67,6 +69,10 @@ pub struct StreamContext {
     pub sessions: TaskTracker,
     /// Bounds connections that have not said hello together with those that have.
     pub connections: Arc<Semaphore>,
+    /// Bounds those who listen to changes of the scene.
+    pub subscribers: Arc<Semaphore>,
+    /// Bounds snapshots.
+    pub snapshots: SnapshotQueue,
 }
 
 /// As many connections as `viewers_max` viewers and those who are about to say hello need.
