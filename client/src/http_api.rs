@@ -19,6 +19,10 @@ const BODY_MAX_BYTES: usize = 8 << 20;
 const MAP_MAX_BYTES: usize = 300 << 20;
 /// Maps are long, and the server reads one at a time.
 const MAP_TIMEOUT: Duration = Duration::from_secs(130);
+/// A snapshot waits for its turn and for caches.
+const SNAPSHOT_TIMEOUT: Duration = Duration::from_secs(45);
+/// PNG of 1920 x 1080 pixels of noise, and what is around it.
+const SNAPSHOT_MAX_BYTES: usize = 16 << 20;
 const MERGE_PATCH: &str = "application/merge-patch+json";
 /// How often a patch without an own precondition is tried when others patch at the same time.
 const PATCH_TRIES: u32 = 5;
@@ -230,6 +234,21 @@ impl HttpApi {
         let request = self.client.get(url.clone()).timeout(MAP_TIMEOUT);
         let (_, body) = self
             .answer_up_to(MAP_MAX_BYTES, request, Method::GET, &url)
+            .await?;
+        Ok(body)
+    }
+
+    /// A picture of the sky as it is now, as PNG. `view` are the parameters of the query, such as `yaw_deg` and `90`; what is
+    /// left out is the server's choice.
+    ///
+    /// # Errors
+    /// [`HttpApiError::Refused`] with 422 if a value is not allowed, 429 or 503 if the server has no time for it.
+    pub async fn snapshot(&self, view: &[(&str, String)]) -> Result<Vec<u8>, HttpApiError> {
+        let mut url = self.address.http_url("api/v1/snapshot");
+        url.query_pairs_mut().extend_pairs(view);
+        let request = self.client.get(url.clone()).timeout(SNAPSHOT_TIMEOUT);
+        let (_, body) = self
+            .answer_up_to(SNAPSHOT_MAX_BYTES, request, Method::GET, &url)
             .await?;
         Ok(body)
     }

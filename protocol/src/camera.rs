@@ -1,12 +1,14 @@
 //! Where a viewer stands and looks.
 
 use glam::DVec3;
+use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Serialize;
 use serde_json::Value;
 
 use crate::ValueError;
 use crate::number_range::NumberRange;
 use crate::read_json::{ObjectReader, ReadJson};
+use crate::schema;
 
 /// How far a position may lie from the world's origin along x or z: half the way round the Earth.
 pub const POSITION_HORIZONTAL_M: NumberRange = NumberRange::new(-2.0e7, 2.0e7);
@@ -22,15 +24,20 @@ pub const PITCH_DEG: NumberRange = NumberRange::new(-90.0, 90.0);
 pub const VERTICAL_FOV_DEG: NumberRange = NumberRange::new(1.0, 170.0);
 
 /// A camera as it stands in JSON.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+#[schemars(deny_unknown_fields)]
 pub struct CameraDocument {
     /// x (east), altitude above the ground sphere, z (south), in metres.
+    #[schemars(transform = schema::position)]
     pub position_m: [f64; 3],
     /// Clockwise from north.
+    #[schemars(range(min = YAW_DEG.min, max = YAW_DEG.max))]
     pub yaw_deg: f64,
     /// Up from the horizon.
+    #[schemars(range(min = PITCH_DEG.min, max = PITCH_DEG.max))]
     pub pitch_deg: f64,
     /// The angle between the picture's upper and lower edge.
+    #[schemars(range(min = VERTICAL_FOV_DEG.min, max = VERTICAL_FOV_DEG.max))]
     pub vertical_fov_deg: f64,
 }
 
@@ -132,6 +139,20 @@ impl Camera {
     /// The unit vector towards the picture's upper edge.
     pub fn up(&self) -> DVec3 {
         self.right().cross(self.direction())
+    }
+}
+
+impl JsonSchema for Camera {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        CameraDocument::schema_name()
+    }
+
+    fn schema_id() -> std::borrow::Cow<'static, str> {
+        CameraDocument::schema_id()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        CameraDocument::json_schema(generator)
     }
 }
 

@@ -18,6 +18,7 @@ pub mod number_range;
 pub mod quality;
 pub mod read_json;
 pub mod scene;
+pub mod schema;
 pub mod show;
 pub mod stereo;
 pub mod value_error;

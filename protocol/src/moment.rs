@@ -3,6 +3,7 @@
 use std::fmt;
 
 use jiff::Timestamp;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Serialize, Serializer};
 use serde_json::Value;
 
@@ -95,6 +96,31 @@ impl fmt::Display for Moment {
 impl Serialize for Moment {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_str(self)
+    }
+}
+
+impl JsonSchema for Moment {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "Moment".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let date = json_schema!({"type": "string", "format": "date-time"});
+        if generator.contract().is_serialize() {
+            return date;
+        }
+        json_schema!({
+            "description": "A date and time, or seconds since 1970-01-01T00:00:00Z, from 1900 to 2100.",
+            "oneOf": [
+                date,
+                {
+                    "type": "number",
+                    "minimum": Self::MIN.unix_s(),
+                    "maximum": Self::MAX.unix_s(),
+                    "x-unit": "s",
+                },
+            ],
+        })
     }
 }
 

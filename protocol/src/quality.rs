@@ -1,5 +1,6 @@
 //! How good pictures are to be: a named quality, the largest error, or the time that a frame may take.
 
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -17,7 +18,9 @@ const ALLOWED: &str = "an object with exactly one of the keys preset, max_error 
                        takes the other away with null), the name of a preset, or null";
 
 /// A named point between speed and accuracy, from the fastest to the most accurate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
+)]
 #[serde(rename_all = "kebab-case")]
 pub enum QualityPreset {
     /// Soon there.
@@ -84,6 +87,57 @@ impl QualityChoice {
             }
         }
         Ok(self)
+    }
+}
+
+impl JsonSchema for QualityChoice {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "QualityChoice".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let preset = generator.subschema_for::<QualityPreset>();
+        let choice = |key: &str, value: Schema| {
+            json_schema!({
+                "type": "object",
+                "properties": {key: value},
+                "required": [key],
+                "additionalProperties": false,
+            })
+        };
+        let number = |range: NumberRange, description: &str| {
+            json_schema!({
+                "type": "number",
+                "minimum": range.min,
+                "maximum": range.max,
+                "description": description,
+            })
+        };
+        let mut choices = vec![
+            choice("preset", preset.clone()),
+            choice(
+                "max_error",
+                number(
+                    MAX_ERROR_FLIP,
+                    "The largest mean FLIP against the converged picture.",
+                ),
+            ),
+            choice(
+                "budget_ms",
+                number(
+                    BUDGET_MS,
+                    "Device time that a frame of one viewer may take.",
+                ),
+            ),
+        ];
+        if generator.contract().is_deserialize() {
+            choices.push(preset);
+        }
+        json_schema!({
+            "description": "How good pictures are to be: a named quality (also by its name alone), the largest error, or \
+                            the time that a frame may take.",
+            "oneOf": choices,
+        })
     }
 }
 

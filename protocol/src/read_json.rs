@@ -227,19 +227,30 @@ impl<T: ReadJson> ReadJson for Vec<T> {
     }
 }
 
-/// Declares a wire type whose keys are all optional: the struct, its defaults and how it is written (serde). How it is read
-/// is the declarer's: see `document!`.
+/// Declares a wire type whose keys are all optional: the struct, its defaults, how it is written (serde) and its schema
+/// (schemars). Behind a default, after a semicolon, stands the range of a number or of each number of an array: the schema
+/// tells it, and the domain type that is made of the document checks it. How the type is read is the declarer's: see
+/// `document!`.
 macro_rules! document_members {
     (
         $(#[$meta:meta])*
         pub struct $name:ident {
-            $( $(#[$field_meta:meta])* $key:literal => $field:ident: $type:ty = $default:expr, )*
+            $( $(#[$field_meta:meta])* $key:literal => $field:ident: $type:ty = $default:expr $(; $range:expr)?, )*
         }
     ) => {
+        #[derive(Clone, Debug, PartialEq, serde::Serialize, schemars::JsonSchema)]
         $(#[$meta])*
-        #[derive(Clone, Debug, PartialEq, serde::Serialize)]
+        #[schemars(default, deny_unknown_fields, extend("x-order" = Self::KEYS))]
         pub struct $name {
-            $( $(#[$field_meta])* #[serde(rename = $key)] pub $field: $type, )*
+            $(
+                $(#[$field_meta])*
+                #[serde(rename = $key)]
+                $(#[schemars(
+                    range(min = $range.min, max = $range.max),
+                    inner(range(min = $range.min, max = $range.max))
+                )])?
+                pub $field: $type,
+            )*
         }
 
         impl Default for $name {
@@ -266,7 +277,7 @@ macro_rules! document_members {
 pub(crate) use document_members;
 
 /// Declares a wire type whose keys are all optional: the struct, its defaults, how it is written
-/// (serde) and how it is read (`ReadJson`, which refuses unknown keys).
+/// (serde), its schema, and how it is read (`ReadJson`, which refuses unknown keys).
 macro_rules! document {
     (
         $(#[$meta:meta])*

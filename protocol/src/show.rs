@@ -1,5 +1,6 @@
 //! What frames show: the picture, or one quantity of it for whoever wants to know why it looks as it does.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -7,7 +8,7 @@ use crate::read_json::{ReadJson, read_name};
 use crate::{Codec, ValueError};
 
 /// What a viewer's frames show.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Show {
     /// The sky.
@@ -54,7 +55,7 @@ pub enum Show {
 }
 
 /// How a view's values become colours, for a legend.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Scale {
     /// The value of the darkest colour.
     pub low: f64,
@@ -67,7 +68,7 @@ pub struct Scale {
 }
 
 /// A view as a person is told of it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct ShowReport {
     /// Name in messages and on the command line.
     pub name: &'static str,

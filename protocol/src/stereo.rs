@@ -1,5 +1,6 @@
 //! A viewer with two eyes: how far apart they are, and where each of them stands.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -14,9 +15,12 @@ pub const EYE_DISTANCE_M: NumberRange = NumberRange::new(0.0, 100.0);
 const KEYS: &[&str] = &["eye_distance_m"];
 
 /// Two eyes that look in parallel, at both sides of the camera.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "StereoDocument")]
+#[schemars(!try_from, deny_unknown_fields)]
 pub struct Stereo {
+    /// From the middle of one eye to that of the other.
+    #[schemars(range(min = EYE_DISTANCE_M.min, max = EYE_DISTANCE_M.max))]
     eye_distance_m: f64,
 }
 

@@ -1,5 +1,6 @@
 //! What a viewer wants to be sent: size, codec, quality, renderer.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -62,7 +63,7 @@ impl FrameSize {
 }
 
 /// How a frame's pixels are compressed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Codec {
     /// Small and lossy.
@@ -114,7 +115,7 @@ impl ReadJson for Codec {
 }
 
 /// Which renderer makes a viewer's frames.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum RendererKind {
     /// Reads the caches that the viewers of a cell share.

@@ -4,6 +4,7 @@ pub(crate) mod load;
 pub(crate) mod record;
 pub(crate) mod scene;
 mod scene_map;
+mod scene_snapshot;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

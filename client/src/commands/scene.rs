@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use skycell_client::{HttpApi, SceneRevision, ServerAddress};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-use super::{AccessArguments, print_line, read_json, scene_map};
+use super::{AccessArguments, print_line, read_json, scene_map, scene_snapshot};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -17,6 +17,7 @@ Examples:
   skycell scene patch - < patch.json
   skycell scene watch --changes 3
   skycell scene map put coverage storm.png --transition-s 60
+  skycell scene snapshot sky.png --yaw-deg 90
   skycell scene time --pause
   skycell scene preset set broken-sunset --transition-s 20
   skycell scene revisions
@@ -58,6 +59,11 @@ enum Command {
         #[arg(long, value_name = "REVISION")]
         if_match: Option<u64>,
     },
+    /// Writes a picture of the sky as it is now.
+    #[command(
+        after_help = "Example:\n  skycell scene snapshot noon.png --yaw-deg 90 --pitch-deg 20 --width 1280 --height 720"
+    )]
+    Snapshot(scene_snapshot::Arguments),
     /// Replaces, fetches or resets a map of a layer.
     Map(scene_map::Arguments),
     /// Prints the scene now and whenever it changes.
@@ -197,6 +203,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
             }
             print_line(&format!("revision {}", revision_text(&scene)))
         }
+        Command::Snapshot(arguments) => scene_snapshot::run(arguments, &api, json).await,
         Command::Map(arguments) => scene_map::run(arguments, &api, json).await,
         Command::Watch {
             changes,

@@ -1,12 +1,14 @@
 //! The scene as it stands in JSON. Every key but `version` may be left out and then has the
 //! default that is written here; what numbers are allowed stands in [`super::ranges`].
 
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::Value;
 
 use super::family::{Family, WeatherPattern, WeatherProfile};
 use super::light::SunDepth;
-use super::maps::MapsDocument;
+use super::maps::{FILE_NAME_PATTERN, MapsDocument};
+use super::ranges;
 use super::timeline::{
     AnimationDocument, Drift, PlaceAndTimeDocument, TimeDocument, TransitionDocument,
 };
@@ -14,6 +16,7 @@ use super::tone::ToneDocument;
 use crate::ValueError;
 use crate::quality::QualityChoice;
 use crate::read_json::{ObjectReader, ReadJson, document, document_members, read_name};
+use crate::schema;
 
 use super::scattering::Scattering;
 
@@ -22,6 +25,7 @@ pub const SCENE_VERSION: u32 = 1;
 
 document! {
     /// Everything that defines the sky, as JSON.
+    #[schemars(transform = schema::with_version)]
     pub struct SceneDocument {
         /// Version of this format; must be there.
         "version" => version: u32 = SCENE_VERSION,
@@ -36,13 +40,14 @@ document! {
         /// The clear sky.
         "atmosphere" => atmosphere: AtmosphereDocument = AtmosphereDocument::default(),
         /// Shells that hold clouds, 0 to 4.
+        #[schemars(length(max = ranges::LAYERS_MAX))]
         "layers" => layers: Vec<LayerDocument> = vec![LayerDocument::default()],
         /// How light travels in clouds.
         "light" => light: LightDocument = LightDocument::default(),
         /// The wind of every layer that has none of its own.
         "wind" => wind: WindDocument = WindDocument::default(),
         /// Brightness of the picture in stops; +1 doubles it.
-        "exposure_ev" => exposure_ev: f64 = 0.0,
+        "exposure_ev" => exposure_ev: f64 = 0.0; ranges::EXPOSURE_EV,
         /// How radiance becomes a picture.
         "tone" => tone: ToneDocument = ToneDocument::default(),
         /// How good pictures are to be for viewers who do not say; null for what the server is configured to.
@@ -50,6 +55,7 @@ document! {
         /// The sky's clock.
         "time" => time: TimeDocument = TimeDocument::default(),
         /// Numbers that change with sky time, at most 32.
+        #[schemars(length(max = ranges::ANIMATIONS_MAX))]
         "animation" => animation: Vec<AnimationDocument> = Vec::new(),
         /// The sky that this one comes from, for a while; null when it is there.
         "transition" => transition: Option<TransitionDocument> = None,
@@ -83,6 +89,23 @@ impl Serialize for PlanetChoice {
     }
 }
 
+impl JsonSchema for PlanetChoice {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "PlanetChoice".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "description": "A ground sphere; null or \"flat\" for a flat world without ground.",
+            "anyOf": [
+                generator.subschema_for::<PlanetDocument>(),
+                {"type": "null"},
+                {"const": "flat"},
+            ],
+        })
+    }
+}
+
 impl ReadJson for PlanetChoice {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
         match value {
@@ -103,9 +126,9 @@ document! {
     /// The ground sphere.
     pub struct PlanetDocument {
         /// Radius of the ground.
-        "radius_m" => radius_m: f64 = 6_360_000.0,
+        "radius_m" => radius_m: f64 = 6_360_000.0; ranges::PLANET_RADIUS_M,
         /// Share of light that the ground reflects.
-        "ground_albedo" => ground_albedo: f64 = 0.1,
+        "ground_albedo" => ground_albedo: f64 = 0.1; ranges::GROUND_ALBEDO,
     }
 }
 
@@ -113,14 +136,14 @@ document! {
     /// Direction and strength of the sun.
     pub struct SunDocument {
         /// Clockwise from north, towards the sun.
-        "azimuth_deg" => azimuth_deg: f64 = 150.0,
+        "azimuth_deg" => azimuth_deg: f64 = 150.0; ranges::AZIMUTH_DEG,
         /// Above the horizon, towards the sun.
-        "elevation_deg" => elevation_deg: f64 = 40.0,
+        "elevation_deg" => elevation_deg: f64 = 40.0; ranges::ELEVATION_DEG,
         /// A place and a date that say where the sun stands instead of the two angles; null for the angles.
         "place_and_time" => place_and_time: Option<PlaceAndTimeDocument> = None,
         /// Red (680 nm), green (550 nm) and blue (440 nm) above the atmosphere. The default is the
         /// sun's: Bruneton 2017, precomputed_atmospheric_scattering, demo.cc `kSolarIrradiance`.
-        "irradiance_w_per_m2_nm" => irradiance_w_per_m2_nm: [f64; 3] = [1.474, 1.8504, 1.91198],
+        "irradiance_w_per_m2_nm" => irradiance_w_per_m2_nm: [f64; 3] = [1.474, 1.8504, 1.91198]; ranges::IRRADIANCE_W_PER_M2_NM,
     }
 }
 
@@ -128,11 +151,11 @@ document! {
     /// The moon. It lights clouds and air instead of the sun where it gives more light than what is left of the sun's.
     pub struct MoonDocument {
         /// Clockwise from north, towards the moon.
-        "azimuth_deg" => azimuth_deg: f64 = 200.0,
+        "azimuth_deg" => azimuth_deg: f64 = 200.0; ranges::AZIMUTH_DEG,
         /// Above the horizon, towards the moon.
-        "elevation_deg" => elevation_deg: f64 = 35.0,
+        "elevation_deg" => elevation_deg: f64 = 35.0; ranges::ELEVATION_DEG,
         /// The angle between sun and viewer as seen from the moon: 0 full, 90 half, 180 new.
-        "phase_angle_deg" => phase_angle_deg: f64 = 0.0,
+        "phase_angle_deg" => phase_angle_deg: f64 = 0.0; ranges::PHASE_ANGLE_DEG,
         /// Whether place and date of `/sun/place_and_time`, where there are such, say where the moon stands and its phase,
         /// in the place of the three angles.
         "of_place_and_time" => of_place_and_time: bool = false,
@@ -144,17 +167,18 @@ document! {
     /// north as high as the latitude.
     pub struct StarsDocument {
         /// Factor of their light.
-        "brightness" => brightness: f64 = 1.0,
+        "brightness" => brightness: f64 = 1.0; ranges::STAR_BRIGHTNESS,
         /// Where on the planet one stands; negative in the south.
-        "latitude_deg" => latitude_deg: f64 = 50.0,
+        "latitude_deg" => latitude_deg: f64 = 50.0; ranges::LATITUDE_DEG,
         /// How far the sky has turned.
-        "turn_deg" => turn_deg: f64 = 0.0,
+        "turn_deg" => turn_deg: f64 = 0.0; ranges::TURN_DEG,
     }
 }
 
 /// The clear sky, by `model`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "model", rename_all = "kebab-case")]
+#[schemars(deny_unknown_fields, transform = schema::optional_tag("model", "analytic"))]
 pub enum AtmosphereDocument {
     /// A closed formula.
     Analytic(AnalyticAtmosphereDocument),
@@ -169,22 +193,22 @@ document! {
     /// flat world has no such air; there the closed formula with the same aerosol stands for it.
     pub struct PhysicalAtmosphereDocument {
         /// Vertical optical depth of aerosol at 550 nm: 0.005 the clearest air, 0.1 clean, 0.4 hazy.
-        "aerosol_optical_depth" => aerosol_optical_depth: f64 = 0.06,
+        "aerosol_optical_depth" => aerosol_optical_depth: f64 = 0.06; ranges::AEROSOL_OPTICAL_DEPTH,
         /// How much more aerosol takes out of blue light than of red: its optical depth goes with the wavelength to the
         /// power of minus this (Angstrom 1929).
-        "aerosol_angstrom_exponent" => aerosol_angstrom_exponent: f64 = 0.0,
+        "aerosol_angstrom_exponent" => aerosol_angstrom_exponent: f64 = 0.0; ranges::AEROSOL_ANGSTROM_EXPONENT,
         /// Share of the aerosol's extinction that is scattering. Bruneton 2017, demo.cc `kMieSingleScatteringAlbedo`.
-        "aerosol_single_scattering_albedo" => aerosol_single_scattering_albedo: f64 = 0.9,
+        "aerosol_single_scattering_albedo" => aerosol_single_scattering_albedo: f64 = 0.9; ranges::AEROSOL_SINGLE_SCATTERING_ALBEDO,
         /// Mean cosine of the aerosol's Henyey-Greenstein phase. Bruneton 2017, demo.cc `kMiePhaseFunctionG`.
-        "aerosol_asymmetry" => aerosol_asymmetry: f64 = 0.8,
+        "aerosol_asymmetry" => aerosol_asymmetry: f64 = 0.8; ranges::AEROSOL_ASYMMETRY,
         /// Height over which aerosol falls to 1/e.
-        "aerosol_scale_height_m" => aerosol_scale_height_m: f64 = 1200.0,
+        "aerosol_scale_height_m" => aerosol_scale_height_m: f64 = 1200.0; ranges::SCALE_HEIGHT_M,
         /// Height over which air falls to 1/e.
-        "rayleigh_scale_height_m" => rayleigh_scale_height_m: f64 = 8000.0,
+        "rayleigh_scale_height_m" => rayleigh_scale_height_m: f64 = 8000.0; ranges::SCALE_HEIGHT_M,
         /// How much air there is, in that of the Earth.
-        "rayleigh_density" => rayleigh_density: f64 = 1.0,
+        "rayleigh_density" => rayleigh_density: f64 = 1.0; ranges::RAYLEIGH_DENSITY,
         /// Ozone in Dobson units; the Earth has about 300.
-        "ozone_dobson" => ozone_dobson: f64 = 300.0,
+        "ozone_dobson" => ozone_dobson: f64 = 300.0; ranges::OZONE_DOBSON,
         /// Whether clouds throw their shadow into the air: beams of light between them.
         "light_shafts" => light_shafts: bool = false,
     }
@@ -194,7 +218,7 @@ document! {
     /// No air, and an environment of one radiance in every direction: a plain background, or a furnace.
     pub struct UniformAtmosphereDocument {
         /// Red, green and blue; 0 is a black background.
-        "radiance_w_per_m2_nm_sr" => radiance_w_per_m2_nm_sr: [f64; 3] = [0.0; 3],
+        "radiance_w_per_m2_nm_sr" => radiance_w_per_m2_nm_sr: [f64; 3] = [0.0; 3]; ranges::ENVIRONMENT_RADIANCE,
     }
 }
 
@@ -202,7 +226,7 @@ document! {
     /// A clear sky by a closed formula.
     pub struct AnalyticAtmosphereDocument {
         /// Vertical optical depth of haze.
-        "aerosol_optical_depth" => aerosol_optical_depth: f64 = 0.08,
+        "aerosol_optical_depth" => aerosol_optical_depth: f64 = 0.08; ranges::AEROSOL_OPTICAL_DEPTH,
     }
 }
 
@@ -214,21 +238,23 @@ impl Default for AtmosphereDocument {
 
 document_members! {
     /// A shell of the atmosphere that holds one family of clouds.
+    #[schemars(transform = Family::model_of_density_is_told)]
     pub struct LayerDocument {
         /// The family whose values stand for the keys that are left out; null for the plain defaults.
         "family" => family: Option<Family> = None,
         /// What people call it; no two layers have the same name.
+        #[schemars(length(min = 1, max = ranges::LAYER_NAME_MAX_CHARS))]
         "name" => name: String = "low".to_owned(),
         /// Where clouds begin.
-        "base_altitude_m" => base_altitude_m: f64 = 1500.0,
+        "base_altitude_m" => base_altitude_m: f64 = 1500.0; ranges::LAYER_ALTITUDE_M,
         /// Where clouds end.
-        "top_altitude_m" => top_altitude_m: f64 = 4000.0,
+        "top_altitude_m" => top_altitude_m: f64 = 4000.0; ranges::LAYER_ALTITUDE_M,
         /// How density comes about.
         "density" => density: DensityDocument = DensityDocument::default(),
         /// Extinction where density is 1.
-        "extinction_per_m" => extinction_per_m: f64 = 0.05,
+        "extinction_per_m" => extinction_per_m: f64 = 0.05; ranges::EXTINCTION_PER_M,
         /// Share of extinction that is scattering.
-        "single_scattering_albedo" => single_scattering_albedo: f64 = 0.9999,
+        "single_scattering_albedo" => single_scattering_albedo: f64 = 0.9999; ranges::SINGLE_SCATTERING_ALBEDO,
         /// Where this layer's droplets or crystals scatter light to; null for the scene's `light.phase`.
         "phase" => phase: Option<PhaseDocument> = None,
         /// The layer's own wind; null for the scene's.
@@ -261,8 +287,9 @@ impl ReadJson for LayerDocument {
 }
 
 /// How a layer's density comes about, by `model`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "model", rename_all = "kebab-case")]
+#[schemars(deny_unknown_fields, transform = schema::optional_tag("model", "weather"))]
 pub enum DensityDocument {
     /// Weather maps and noise.
     Weather(WeatherDocument),
@@ -290,8 +317,9 @@ document! {
 }
 
 /// What a homogeneous layer fills, by `form`. Only what lies between the layer's altitudes is filled.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "form", rename_all = "kebab-case")]
+#[schemars(deny_unknown_fields, transform = schema::optional_tag("form", "layer"))]
 pub enum ShapeDocument {
     /// The whole layer.
     Layer,
@@ -305,9 +333,10 @@ document! {
     /// A box along the axes.
     pub struct BoxDocument {
         /// Its middle: x, altitude, z.
+        #[schemars(transform = schema::place)]
         "center_m" => center_m: [f64; 3] = [0.0, 2000.0, 0.0],
         /// Its edges.
-        "size_m" => size_m: [f64; 3] = [1000.0; 3],
+        "size_m" => size_m: [f64; 3] = [1000.0; 3]; ranges::SHAPE_SIZE_M,
     }
 }
 
@@ -315,9 +344,10 @@ document! {
     /// A ball.
     pub struct SphereDocument {
         /// Its middle: x, altitude, z.
+        #[schemars(transform = schema::place)]
         "center_m" => center_m: [f64; 3] = [0.0, 2000.0, 0.0],
         /// Its radius.
-        "radius_m" => radius_m: f64 = 500.0,
+        "radius_m" => radius_m: f64 = 500.0; ranges::SHAPE_SIZE_M,
     }
 }
 
@@ -325,14 +355,18 @@ document! {
     /// Density from voxels: raw 32-bit floats, little-endian, x fastest, then altitude, then z. The value of a voxel holds
     /// at its middle, between middles it is interpolated linearly, within half a voxel of the bounds it is the outermost
     /// voxel's, and outside the bounds it is 0.
+    #[schemars(transform = schema::must_have(&["file"]))]
     pub struct GridDocument {
         /// Name of the file, without folders: beside the scene file, or in the folder `grids` of the server's state.
+        #[schemars(pattern(FILE_NAME_PATTERN))]
         "file" => file: String = String::new(),
         /// Voxels along x, altitude and z.
-        "dimensions" => dimensions: [u32; 3] = [1; 3],
+        "dimensions" => dimensions: [u32; 3] = [1; 3]; ranges::GRID_DIMENSION,
         /// Lower corner: x, altitude, z.
+        #[schemars(transform = schema::place)]
         "bounds_min_m" => bounds_min_m: [f64; 3] = [-500.0, 1500.0, -500.0],
         /// Upper corner.
+        #[schemars(transform = schema::place)]
         "bounds_max_m" => bounds_max_m: [f64; 3] = [500.0, 2500.0, 500.0],
     }
 }
@@ -342,17 +376,17 @@ document! {
     /// them. Its extinction comes from `optical_depth`, not from the layer's `extinction_per_m`.
     pub struct CirrusDocument {
         /// Share of the sky that the sheet covers.
-        "coverage" => coverage: f64 = 0.5,
+        "coverage" => coverage: f64 = 0.5; ranges::COVERAGE,
         /// 0 cirrostratus, an even veil, to 1 cirrus, fibres.
-        "type" => cloud_type: f64 = 1.0,
+        "type" => cloud_type: f64 = 1.0; ranges::CLOUD_TYPE,
         /// Optical depth straight through where the sheet is densest.
-        "optical_depth" => optical_depth: f64 = 0.5,
+        "optical_depth" => optical_depth: f64 = 0.5; ranges::SHEET_OPTICAL_DEPTH,
         /// Length after which the patches of the sheet repeat.
-        "map_span_m" => map_span_m: f64 = 83_000.0,
+        "map_span_m" => map_span_m: f64 = 83_000.0; ranges::MAP_SPAN_M,
         /// Length after which the fibres repeat.
-        "fibre_period_m" => fibre_period_m: f64 = 21_000.0,
+        "fibre_period_m" => fibre_period_m: f64 = 21_000.0; ranges::FIBRE_PERIOD_M,
         /// Clockwise from north, the direction along which wind shear has drawn the fibres.
-        "fibres_towards_deg" => fibres_towards_deg: f64 = 60.0,
+        "fibres_towards_deg" => fibres_towards_deg: f64 = 60.0; ranges::AZIMUTH_DEG,
         /// Another number, another sky.
         "seed" => seed: u32 = 1,
     }
@@ -366,21 +400,21 @@ document! {
         /// What the coverage map looks like.
         "pattern" => pattern: WeatherPattern = WeatherPattern::Puffs,
         /// Share of the sky that clouds cover.
-        "coverage" => coverage: f64 = 0.45,
+        "coverage" => coverage: f64 = 0.45; ranges::COVERAGE,
         /// Profile `low`: 0 stratus, 1/3 stratocumulus, 1/2 small cumulus, 2/3 cumulus, 1 cumulonimbus. `high`: 0 altostratus, 1 altocumulus.
-        "type" => cloud_type: f64 = 0.7,
+        "type" => cloud_type: f64 = 0.7; ranges::CLOUD_TYPE,
         /// Length after which the maps repeat.
-        "map_span_m" => map_span_m: f64 = 40_000.0,
+        "map_span_m" => map_span_m: f64 = 40_000.0; ranges::MAP_SPAN_M,
         /// Length after which the noise that shapes clouds repeats.
-        "shape_period_m" => shape_period_m: f64 = 5000.0,
+        "shape_period_m" => shape_period_m: f64 = 5000.0; ranges::SHAPE_PERIOD_M,
         /// Length after which the noise that frays their edges repeats.
-        "detail_period_m" => detail_period_m: f64 = 420.0,
+        "detail_period_m" => detail_period_m: f64 = 420.0; ranges::DETAIL_PERIOD_M,
         /// How much the edges are frayed.
-        "detail_strength" => detail_strength: f64 = 0.22,
+        "detail_strength" => detail_strength: f64 = 0.22; ranges::DETAIL_STRENGTH,
         /// Another number, another sky.
         "seed" => seed: u32 = 1,
         /// Speed at which the noise rises through the clouds, apart from the wind: they change their shapes.
-        "evolution_m_per_s" => evolution_m_per_s: f64 = 0.0,
+        "evolution_m_per_s" => evolution_m_per_s: f64 = 0.0; ranges::EVOLUTION_M_PER_S,
         /// Maps from files.
         "maps" => maps: MapsDocument = MapsDocument::default(),
     }
@@ -395,28 +429,29 @@ document! {
         /// factors below.
         "scattering" => scattering: Scattering = Scattering::Fitted,
         /// Terms of the multiple-scattering sum; 1 is single scattering (Wrenninge 2013), with either model.
-        "octaves" => octaves: u32 = 4,
+        "octaves" => octaves: u32 = 4; ranges::OCTAVES,
         /// Factor of the sun's optical depth from one octave to the next (Wrenninge's a).
-        "octave_attenuation" => octave_attenuation: f64 = 0.5,
+        "octave_attenuation" => octave_attenuation: f64 = 0.5; ranges::OCTAVE_FACTOR,
         /// Factor of the scattered light from one octave to the next (Wrenninge's b).
-        "octave_contribution" => octave_contribution: f64 = 0.5,
+        "octave_contribution" => octave_contribution: f64 = 0.5; ranges::OCTAVE_FACTOR,
         /// Factor of the phase's eccentricity from one octave to the next (Wrenninge's c).
-        "octave_eccentricity" => octave_eccentricity: f64 = 0.5,
+        "octave_eccentricity" => octave_eccentricity: f64 = 0.5; ranges::OCTAVE_FACTOR,
         /// Steps of the march towards the sun.
-        "sun_steps" => sun_steps: u32 = 6,
+        "sun_steps" => sun_steps: u32 = 6; ranges::SUN_STEPS,
         /// How optical depth towards the sun comes about: by a march from every step ("cone"), or by reading the sun volume
         /// ("volume"), with the march where the volume does not reach.
         "sun_depth" => sun_depth: SunDepth = SunDepth::Cone,
         /// Length of the march towards the sun.
-        "sun_march_distance_m" => sun_march_distance_m: f64 = 1500.0,
+        "sun_march_distance_m" => sun_march_distance_m: f64 = 1500.0; ranges::SUN_MARCH_DISTANCE_M,
         /// Factor of the light from sky and ground.
-        "ambient" => ambient: f64 = 1.0,
+        "ambient" => ambient: f64 = 1.0; ranges::AMBIENT,
     }
 }
 
 /// Where droplets scatter light to, by `model`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "model", rename_all = "kebab-case")]
+#[schemars(deny_unknown_fields, transform = schema::optional_tag("model", "hg-draine"))]
 pub enum PhaseDocument {
     /// Rough ice crystals: two Henyey-Greenstein lobes.
     Ice,
@@ -440,7 +475,7 @@ document! {
     /// Henyey-Greenstein and Draine mixed by droplet size.
     pub struct HgDraineDocument {
         /// Diameter of the droplets.
-        "droplet_diameter_um" => droplet_diameter_um: f64 = 20.0,
+        "droplet_diameter_um" => droplet_diameter_um: f64 = 20.0; ranges::DROPLET_DIAMETER_UM,
     }
 }
 
@@ -448,7 +483,7 @@ document! {
     /// Henyey-Greenstein.
     pub struct HgDocument {
         /// Mean cosine: -1 backwards, 1 forwards.
-        "g" => g: f64 = 0.85,
+        "g" => g: f64 = 0.85; ranges::PHASE_G,
     }
 }
 
@@ -456,9 +491,9 @@ document! {
     /// Draine.
     pub struct DraineDocument {
         /// Eccentricity: -1 backwards, 1 forwards.
-        "g" => g: f64 = 0.85,
+        "g" => g: f64 = 0.85; ranges::PHASE_G,
         /// 0 is Henyey-Greenstein, 1 Cornette-Shanks.
-        "alpha" => alpha: f64 = 1.0,
+        "alpha" => alpha: f64 = 1.0; ranges::DRAINE_ALPHA,
     }
 }
 
@@ -466,9 +501,9 @@ document! {
     /// Where the clouds drift.
     pub struct WindDocument {
         /// Clockwise from north, the direction that the wind blows to.
-        "towards_deg" => towards_deg: f64 = 90.0,
+        "towards_deg" => towards_deg: f64 = 90.0; ranges::AZIMUTH_DEG,
         /// Speed of the clouds.
-        "speed_m_per_s" => speed_m_per_s: f64 = 5.0,
+        "speed_m_per_s" => speed_m_per_s: f64 = 5.0; ranges::WIND_SPEED_M_PER_S,
     }
 }
 

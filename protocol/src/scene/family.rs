@@ -4,8 +4,9 @@
 //! by eye against photographs (`skycell-server render --scene`), extinctions among it: real water clouds of these kinds have
 //! 0.01 to 0.1 per metre.
 
+use schemars::{JsonSchema, Schema};
 use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::document::{
     CirrusDocument, DensityDocument, LayerDocument, PhaseDocument, WeatherDocument,
@@ -14,7 +15,7 @@ use crate::ValueError;
 use crate::read_json::{ReadJson, read_name};
 
 /// A family of clouds, by its name in the International Cloud Atlas.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Family {
     /// A low, featureless sheet.
@@ -61,6 +62,25 @@ impl Family {
             Self::Cirrus => "cirrus",
             Self::Cirrostratus => "cirrostratus",
         }
+    }
+
+    /// The schema of a layer: where the family is one of ice, a density that says nothing of its model would be a sheet of
+    /// ice, and the schema of a density takes one without a model for weather. So there it has to be told; the reader takes it
+    /// either way.
+    pub(super) fn model_of_density_is_told(layer: &mut Schema) {
+        let of_ice = Self::ALL
+            .into_iter()
+            .filter(|family| !matches!(family.layer().density, DensityDocument::Weather(_)))
+            .map(Self::name)
+            .collect::<Vec<_>>();
+        layer.insert(
+            "if".into(),
+            json!({"properties": {"family": {"enum": of_ice}}, "required": ["family"]}),
+        );
+        layer.insert(
+            "then".into(),
+            json!({"properties": {"density": {"required": ["model"]}}}),
+        );
     }
 
     /// A layer of the family: what stands for the keys that a layer of this family leaves out. The name is the family's.
@@ -188,7 +208,7 @@ impl ReadJson for Family {
 }
 
 /// Which vertical profiles a weather layer's `type` walks through.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum WeatherProfile {
     /// 0 stratus, 1/3 stratocumulus, 1/2 small cumulus, 2/3 cumulus, 1 cumulonimbus.
@@ -204,7 +224,7 @@ impl ReadJson for WeatherProfile {
 }
 
 /// What a weather layer's coverage map looks like.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum WeatherPattern {
     /// Heaps of several sizes, gathered.

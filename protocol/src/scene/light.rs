@@ -4,6 +4,7 @@ use super::document::{DraineDocument, HgDocument, HgDraineDocument, LightDocumen
 use super::ranges;
 use super::scattering::Scattering;
 use crate::ValueError;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// How light travels in clouds.
@@ -74,7 +75,7 @@ impl Light {
 }
 
 /// How optical depth towards the sun comes about.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum SunDepth {
     /// A march towards the sun from every step, within the step's layer.

@@ -9,6 +9,10 @@ use super::ranges;
 use crate::ValueError;
 use crate::read_json::document;
 
+/// What [`checked_file_name`] takes, as the schema tells it.
+pub(super) const FILE_NAME_PATTERN: &str = "^[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}$";
+const _: () = assert!(ranges::GRID_FILE_MAX_CHARS == 64);
+
 /// Which map of a weather layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum MapKind {
@@ -57,13 +61,16 @@ document! {
     /// made from the seed.
     pub struct MapsDocument {
         /// Where clouds are: 0 nowhere, 1 first of all. The top is north; it repeats after the layer's map span.
+        #[schemars(pattern(FILE_NAME_PATTERN))]
         "coverage" => coverage: Option<String> = None,
         /// Factor of the layer's type: 0 flat to 1 tall.
+        #[schemars(pattern(FILE_NAME_PATTERN))]
         "type" => cloud_type: Option<String> = None,
         /// How much of its coverage a cloud keeps: types from left to right, heights from the bottom to the top.
+        #[schemars(pattern(FILE_NAME_PATTERN))]
         "profile" => profile: Option<String> = None,
         /// Sky time in which other maps, or those of another seed, take the place of these, linearly.
-        "transition_s" => transition_s: f64 = 0.0,
+        "transition_s" => transition_s: f64 = 0.0; ranges::TRANSITION_S,
     }
 }
 

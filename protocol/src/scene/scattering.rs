@@ -1,7 +1,10 @@
 //! Constants of light that clouds scatter more than once, fitted to a path tracer.
 
+use schemars::JsonSchema;
+
 /// How clouds scatter sunlight more than once.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, JsonSchema)]
+#[schemars(rename_all = "kebab-case")]
 pub enum Scattering {
     /// A broadened octave and diffuse light that knows how thick the cloud is, with the constants of [`FITTED`].
     #[default]

@@ -1,5 +1,6 @@
 //! How radiance becomes a picture: the curve, and exposure by the light that is there.
 
+use schemars::JsonSchema;
 use serde::{Serialize, Serializer};
 use serde_json::Value;
 
@@ -8,7 +9,8 @@ use crate::ValueError;
 use crate::read_json::{ReadJson, document, read_name};
 
 /// From radiance to what a screen shows.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, JsonSchema)]
+#[schemars(rename_all = "kebab-case")]
 pub enum ToneCurve {
     /// K. Narkowicz's fit of the ACES reference transform, 2015, channel by channel.
     #[default]
@@ -63,11 +65,11 @@ document! {
     /// Exposure by the light of the sky.
     pub struct AutoExposureDocument {
         /// Least exposure, in stops beside that of the default noon.
-        "min_ev" => min_ev: f64 = -4.0,
+        "min_ev" => min_ev: f64 = -4.0; ranges::EXPOSURE_EV,
         /// Most exposure.
-        "max_ev" => max_ev: f64 = 8.0,
+        "max_ev" => max_ev: f64 = 8.0; ranges::EXPOSURE_EV,
         /// Time in which two thirds of a change are followed.
-        "adaptation_s" => adaptation_s: f64 = 1.0,
+        "adaptation_s" => adaptation_s: f64 = 1.0; ranges::ADAPTATION_S,
     }
 }
 

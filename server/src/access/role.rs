@@ -66,6 +66,7 @@ pub enum Rule {
 
 /// Reading these needs the role *view*. Whatever ends with `/*` stands for all paths below it.
 const VIEW: &[&str] = &[
+    "/api/v1/docs",
     "/api/v1/openapi.json",
     "/api/v1/presets",
     "/api/v1/presets/*",

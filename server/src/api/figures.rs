@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::State;
+use schemars::JsonSchema;
 use serde::Serialize;
 use skycell_protocol::{CellId, Codec, RendererKind, Show, ShowReport, Stereo, ViewerId};
 
@@ -12,7 +13,7 @@ use crate::stream::StreamContext;
 use crate::viewers::Viewer;
 
 /// A viewer as `/api/v1/viewers` shows it.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, JsonSchema)]
 pub(super) struct ViewerReport {
     id: ViewerId,
     /// Null until the renderer has placed the viewer.
@@ -51,7 +52,7 @@ pub(super) struct ViewerReport {
 }
 
 /// The service's own sums, beside the renderer's.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, JsonSchema)]
 struct ServiceStats {
     viewers: usize,
     version: &'static str,
@@ -64,7 +65,7 @@ struct ServiceStats {
 }
 
 /// `/api/v1/stats`: the renderer's figures and the service's.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, JsonSchema)]
 pub(super) struct StatsReport {
     #[serde(flatten)]
     render: RenderStats,

@@ -69,14 +69,7 @@ fn format_of(query: &MapQuery, headers: &HeaderMap) -> Result<MapFileFormat, Pro
                 )
             });
     }
-    let accepted: Vec<&str> = headers
-        .get_all(ACCEPT)
-        .iter()
-        .filter_map(|header| header.to_str().ok())
-        .flat_map(|list| list.split(','))
-        .filter_map(|item| item.split(';').next())
-        .map(str::trim)
-        .collect();
+    let accepted = accepted(headers);
     let is_accepted = |format: &MapFileFormat| {
         accepted
             .iter()
@@ -85,17 +78,36 @@ fn format_of(query: &MapQuery, headers: &HeaderMap) -> Result<MapFileFormat, Pro
     if let Some(named) = formats.into_iter().find(is_accepted) {
         return Ok(named);
     }
-    if accepted.is_empty()
-        || accepted
-            .iter()
-            .any(|kind| ["*/*", "image/*"].contains(kind))
-    {
+    if accepts(headers, MapFileFormat::Png.media_type()) {
         return Ok(MapFileFormat::Png);
     }
     Err(Problem::new(
         StatusCode::NOT_ACCEPTABLE,
         "a map is image/png (16 bits) or image/x-exr (32-bit floats)",
     ))
+}
+
+/// The media types of the Accept header, without their parameters.
+fn accepted(headers: &HeaderMap) -> Vec<&str> {
+    headers
+        .get_all(ACCEPT)
+        .iter()
+        .filter_map(|header| header.to_str().ok())
+        .flat_map(|list| list.split(','))
+        .filter_map(|item| item.split(';').next())
+        .map(str::trim)
+        .collect()
+}
+
+/// Whether a client takes a picture of a media type.
+pub(super) fn accepts(headers: &HeaderMap, picture: &str) -> bool {
+    let accepted = accepted(headers);
+    accepted.is_empty()
+        || accepted.iter().any(|kind| {
+            ["*/*", "image/*", picture]
+                .iter()
+                .any(|ours| kind.eq_ignore_ascii_case(ours))
+        })
 }
 
 async fn turn() -> Result<SemaphorePermit<'static>, Problem> {

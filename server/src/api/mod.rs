@@ -2,12 +2,15 @@
 
 mod figures;
 mod maps;
+mod openapi;
 mod page;
 mod presets;
 mod problem;
 mod revisions;
 mod scene;
+mod scene_events;
 mod scene_time;
+mod snapshot;
 
 use std::any::Any;
 use std::sync::Arc;
@@ -35,6 +38,8 @@ use tracing::Instrument;
 
 pub(crate) use page::is_page_path;
 pub use problem::Problem;
+pub use scene_events::SUBSCRIBERS_MAX;
+pub use snapshot::SnapshotQueue;
 
 use crate::access;
 use crate::metrics::ServiceFigures;
@@ -55,6 +60,8 @@ const MAP_TIMEOUT: Duration = Duration::from_secs(120);
 
 /// How long a browser may rely on what it was told a page of another origin may do.
 const PREFLIGHT_MAX_AGE: Duration = Duration::from_secs(600);
+/// The same for a snapshot, which has a limit of its own that says more.
+const SNAPSHOT_TIMEOUT: Duration = Duration::from_secs(40);
 
 /// The page loads its own modules and pictures, and talks to its own server.
 const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
@@ -80,15 +87,17 @@ pub fn router(context: Arc<StreamContext>) -> Router {
             get(scene_time::get).put(scene_time::put),
         )
         .route("/api/v1/scene/now", get(scene_time::now))
-        .route("/api/v1/scene/events", get(scene_time::events))
         .route("/api/v1/scene/revisions", get(revisions::list))
         .route("/api/v1/scene/revisions/{revision}", get(revisions::get))
+        .route("/api/v1/scene/events", get(scene_events::events))
         .route("/api/v1/presets", get(presets::list))
         .route("/api/v1/presets/{name}", get(presets::get))
         .route("/api/v1/cells", get(figures::cells))
         .route("/api/v1/viewers", get(figures::viewers))
         .route("/api/v1/stats", get(figures::stats))
         .route("/api/v1/views", get(figures::views))
+        .route("/api/v1/openapi.json", get(openapi::document))
+        .route("/api/v1/docs", get(openapi::page))
         .route("/metrics", get(metrics))
         .route("/livez", get(live))
         .route("/readyz", get(ready))
@@ -101,6 +110,12 @@ pub fn router(context: Arc<StreamContext>) -> Router {
             maps::routes()
                 .method_not_allowed_fallback(method_not_allowed)
                 .layer(timeout(MAP_TIMEOUT)),
+        )
+        .merge(
+            snapshot::routes()
+                .method_not_allowed_fallback(method_not_allowed)
+                .layer(RequestBodyLimitLayer::new(BODY_MAX_BYTES))
+                .layer(timeout(SNAPSHOT_TIMEOUT)),
         )
         .with_state(Arc::clone(&context))
         .layer(from_fn_with_state(gate, access::pass))

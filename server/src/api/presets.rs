@@ -8,6 +8,7 @@ use axum::extract::rejection::BytesRejection;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
 use skycell_protocol::read_json::ObjectReader;
@@ -20,15 +21,15 @@ use crate::scene::{Preset, preset, presets};
 use crate::stream::StreamContext;
 
 /// How long a sky takes to become a preset when nobody says.
-const TRANSITION_S: f64 = 10.0;
+pub(super) const TRANSITION_S: f64 = 10.0;
 
 /// Names, titles and cameras of all presets.
 pub(super) async fn list() -> Json<&'static [Preset]> {
     Json(presets())
 }
 
-#[derive(Debug, Serialize)]
-struct WholePreset<'a> {
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct WholePreset<'a> {
     name: &'a str,
     title: &'a str,
     about: &'a str,

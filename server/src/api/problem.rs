@@ -4,6 +4,7 @@ use axum::body::to_bytes;
 use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE, HeaderValue};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
+use schemars::JsonSchema;
 use serde::Serialize;
 use skycell_protocol::ValueError;
 
@@ -15,13 +16,16 @@ const PROBLEM_JSON: &str = "application/problem+json";
 const DETAIL_MAX_BYTES: usize = 4096;
 
 /// An error of the HTTP interface.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, JsonSchema)]
 pub struct Problem {
     /// Names the kind of problem; `about:blank` is that of the status.
     #[serde(rename = "type")]
     kind: &'static str,
+    /// The status in words.
     title: &'static str,
+    /// The HTTP status.
     status: u16,
+    /// What is wrong with this request.
     detail: String,
     #[serde(flatten)]
     value: Option<Box<BadValue>>,
@@ -33,10 +37,13 @@ pub struct Problem {
 }
 
 /// Which value of the request is not allowed.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, JsonSchema)]
 struct BadValue {
+    /// JSON pointer of the value.
     pointer: String,
+    /// The value as JSON text, cut after 80 characters; `missing` where there is none.
     value: String,
+    /// What may stand there, in words.
     allowed: String,
 }
 

@@ -8,6 +8,7 @@ use axum::extract::rejection::BytesRejection;
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use skycell_protocol::ValueError;
@@ -21,9 +22,9 @@ use crate::scene::{REVISIONS_MAX, Revision, SceneSnapshot};
 use crate::stream::StreamContext;
 
 /// How many revisions a page of the list may have.
-const LIMIT: NumberRange = NumberRange::new(1.0, REVISIONS_MAX as f64);
+pub(super) const LIMIT: NumberRange = NumberRange::new(1.0, REVISIONS_MAX as f64);
 /// How many it has when nobody says.
-const LIMIT_DEFAULT: u32 = 20;
+pub(super) const LIMIT_DEFAULT: u32 = 20;
 
 /// What may stand behind the question mark.
 #[derive(Debug, Deserialize)]
@@ -36,8 +37,9 @@ pub(super) struct PageQuery {
 }
 
 /// A page of the list, newest first.
-#[derive(Debug, Serialize)]
-struct Page<'a> {
+#[derive(Debug, Serialize, JsonSchema)]
+#[schemars(rename = "RevisionPage")]
+pub(super) struct Page<'a> {
     /// The present scene's.
     revision: u64,
     revisions: Vec<&'a Revision>,

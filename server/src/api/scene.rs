@@ -1,4 +1,4 @@
-//! `/api/v1/scene`: the scene document, its revision as ETag, changes as merge patches.
+//! `/api/v1/scene`: the scene document, its revision as ETag, changes as merge patches and JSON patches.
 
 use std::sync::Arc;
 
@@ -14,10 +14,13 @@ use axum::response::{IntoResponse, Response};
 use serde_json::Value;
 
 use super::{Problem, maps};
-use crate::scene::{Precondition, ScenePatchError, SceneSnapshot, SceneStore};
+use crate::scene::{Precondition, SceneJsonPatch, ScenePatchError, SceneSnapshot, SceneStore};
 use crate::stream::StreamContext;
 
-const MERGE_PATCH: &str = "application/merge-patch+json";
+pub(super) const MERGE_PATCH: &str = "application/merge-patch+json";
+pub(super) const JSON_PATCH: &str = "application/json-patch+json";
+/// What `PATCH` takes, as the header `Accept-Patch` tells it.
+const PATCHES: &str = "application/merge-patch+json, application/json-patch+json";
 const JSON: &str = "application/json";
 const ACCEPT_PATCH: HeaderName = HeaderName::from_static("accept-patch");
 
@@ -46,13 +49,16 @@ pub(super) fn not_modified(tag: String) -> Response {
     (StatusCode::NOT_MODIFIED, [(ETAG, tag)]).into_response()
 }
 
-/// Changes the document.
+/// Changes the document, by a patch of the kind that the content type tells.
 pub(super) async fn patch(
     State(context): State<Arc<StreamContext>>,
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Response, Problem> {
-    check_content_type(&headers, MERGE_PATCH)?;
+    let kind = [MERGE_PATCH, JSON_PATCH]
+        .into_iter()
+        .find(|kind| essence_of(&headers).eq_ignore_ascii_case(kind))
+        .ok_or_else(|| wrong_content_type(&headers, PATCHES))?;
     let precondition = read_precondition(&headers)?;
     let body = body.map_err(|rejection| Problem::new(rejection.status(), rejection.body_text()))?;
     let patch: Value = serde_json::from_slice(&body).map_err(|error| {
@@ -61,7 +67,13 @@ pub(super) async fn patch(
             format!("the patch is not JSON: {error}"),
         )
     })?;
-    let snapshot = change(&context, move |scene| scene.patch(&precondition, &patch)).await?;
+    let snapshot = if kind == JSON_PATCH {
+        let patch = SceneJsonPatch::from_json(&patch)
+            .map_err(|error| Problem::bad_value(error).with_status(StatusCode::BAD_REQUEST))?;
+        change(&context, move |scene| scene.apply(&precondition, &patch)).await?
+    } else {
+        change(&context, move |scene| scene.patch(&precondition, &patch)).await?
+    };
     Ok(document(&snapshot))
 }
 
@@ -118,7 +130,7 @@ pub(super) fn document(snapshot: &SceneSnapshot) -> Response {
     (
         [
             (ETAG, tag_of(snapshot.revision)),
-            (ACCEPT_PATCH, MERGE_PATCH.to_owned()),
+            (ACCEPT_PATCH, PATCHES.to_owned()),
         ],
         Json(snapshot.scene.to_document()),
     )
@@ -130,26 +142,38 @@ pub(super) fn tag_of(revision: u64) -> String {
 }
 
 fn check_content_type(headers: &HeaderMap, wanted: &'static str) -> Result<(), Problem> {
-    let essence = headers
+    if essence_of(headers).eq_ignore_ascii_case(wanted) {
+        Ok(())
+    } else {
+        Err(wrong_content_type(headers, wanted))
+    }
+}
+
+/// The content type without its parameters; empty where there is none.
+fn essence_of(headers: &HeaderMap) -> &str {
+    headers
         .get(CONTENT_TYPE)
         .and_then(|header| header.to_str().ok())
         .and_then(|text| text.split(';').next())
         .unwrap_or_default()
-        .trim();
-    if essence.eq_ignore_ascii_case(wanted) {
-        return Ok(());
-    }
-    let found = if essence.is_empty() { "none" } else { essence };
+        .trim()
+}
+
+fn wrong_content_type(headers: &HeaderMap, wanted: &'static str) -> Problem {
+    let found = match essence_of(headers) {
+        "" => "none",
+        other => other,
+    };
     let problem = Problem::new(
         StatusCode::UNSUPPORTED_MEDIA_TYPE,
         format!("Content-Type must be {wanted}; found: {found}"),
     )
     .with_header(ACCEPT, HeaderValue::from_static(wanted));
-    Err(if wanted == MERGE_PATCH {
-        problem.with_header(ACCEPT_PATCH, HeaderValue::from_static(MERGE_PATCH))
+    if wanted == PATCHES {
+        problem.with_header(ACCEPT_PATCH, HeaderValue::from_static(PATCHES))
     } else {
         problem
-    })
+    }
 }
 
 pub(super) fn read_precondition(headers: &HeaderMap) -> Result<Precondition, Problem> {
@@ -195,6 +219,9 @@ pub(super) fn problem_of(error: ScenePatchError) -> Problem {
         ScenePatchError::Invalid(error) => Problem::bad_value(error),
         ScenePatchError::NothingToUndo { .. } => {
             Problem::new(StatusCode::CONFLICT, error.to_string())
+        }
+        ScenePatchError::Conflict(error) => {
+            Problem::bad_value(error).with_status(StatusCode::CONFLICT)
         }
         ScenePatchError::BadMap { pointer, error } => maps::map_problem(pointer, &error),
         ScenePatchError::MapsFull { .. } => maps::full_problem(&error),

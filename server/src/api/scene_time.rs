@@ -1,22 +1,19 @@
-//! `/api/v1/scene/time`, `/now` and `/events`: the sky's clock, the scene of the moment, and word of every change.
+//! `/api/v1/scene/time` and `/now`: the sky's clock and the scene of the moment.
 
-use std::convert::Infallible;
 use std::sync::Arc;
 
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
 use axum::extract::{Query, State};
-use axum::http::{HeaderMap, StatusCode};
-use axum::response::sse::{Event, KeepAlive, Sse};
+use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
-use futures_util::stream::{self, Stream};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use skycell_protocol::read_json::{ObjectReader, ReadJson};
 use skycell_protocol::scene::{SceneDocument, TimeChange};
 use skycell_protocol::{Moment, SceneError, ValueError};
-use tokio::sync::OwnedSemaphorePermit;
 
 use super::Problem;
 use super::scene::{change, etag, read_json_body, read_precondition};
@@ -25,8 +22,8 @@ use crate::scene::SceneSnapshot;
 use crate::stream::StreamContext;
 
 /// The sky's clock at a moment.
-#[derive(Debug, Serialize)]
-struct TimeReport {
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct TimeReport {
     /// Of the document.
     revision: u64,
     /// The moment that the rest is about.
@@ -49,14 +46,14 @@ struct TimeReport {
     transition: Option<f64>,
 }
 
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, JsonSchema)]
 struct SunReport {
     azimuth_deg: f64,
     elevation_deg: f64,
 }
 
 impl TimeReport {
-    fn of(snapshot: &SceneSnapshot, now: Moment) -> Self {
+    pub(super) fn of(snapshot: &SceneSnapshot, now: Moment) -> Self {
         let scene = &snapshot.scene;
         let sky_s = scene.clock().sky_s(now);
         let place = scene.sun().place_and_time();
@@ -154,8 +151,8 @@ pub(super) struct MomentQuery {
 }
 
 /// The scene of a moment: what every server with this document shows then.
-#[derive(Debug, Serialize)]
-struct SceneNow {
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct SceneNow {
     #[serde(flatten)]
     time: TimeReport,
     /// East, up and south, m, where the wind has carried each layer.
@@ -192,48 +189,4 @@ fn read_moment(text: &str) -> Result<Moment, SceneError> {
         .parse::<f64>()
         .map_or_else(|_| Value::from(text), Value::from);
     Moment::read_json(&value, "/at")
-}
-
-/// Server-sent events: one `scene` now and one whenever the document changes, with its revision and the sky's clock.
-pub(super) async fn events(
-    State(context): State<Arc<StreamContext>>,
-) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {
-    let permit = Arc::clone(&context.connections)
-        .try_acquire_owned()
-        .map_err(|_| {
-            Problem::new(
-                StatusCode::SERVICE_UNAVAILABLE,
-                "too many connections; try again later",
-            )
-        })?;
-    let listener = Listener {
-        changes: context.scene.subscribe(),
-        is_first: true,
-        context,
-        _permit: permit,
-    };
-    let events = stream::unfold(listener, |mut listener| async move {
-        if !std::mem::take(&mut listener.is_first) {
-            tokio::select! {
-                () = listener.context.shutdown.cancelled() => return None,
-                changed = listener.changes.changed() => changed.ok()?,
-            }
-        }
-        let snapshot = listener.changes.borrow_and_update().clone();
-        let event = Event::default()
-            .event("scene")
-            .id(snapshot.revision.to_string())
-            .json_data(TimeReport::of(&snapshot, clock::now()))
-            .ok()?;
-        Some((Ok(event), listener))
-    });
-    Ok(Sse::new(events).keep_alive(KeepAlive::default()))
-}
-
-/// Who hears of changes.
-struct Listener {
-    changes: tokio::sync::watch::Receiver<SceneSnapshot>,
-    is_first: bool,
-    context: Arc<StreamContext>,
-    _permit: OwnedSemaphorePermit,
 }

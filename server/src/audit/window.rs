@@ -1,5 +1,6 @@
 //! The latest deviations and their distribution.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::time::Instant;
@@ -11,7 +12,7 @@ pub const WINDOW_TEXELS: usize = 4096;
 pub const AUDITED_AFTER_CHANGE: usize = WINDOW_TEXELS;
 
 /// The distribution of cached texels' deviations from fresh ones (`audit` in ARCHITECTURE.md).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct AuditStats {
     /// Half of the deviations are not above this; null before the first.
     pub p50_percent: Option<f64>,

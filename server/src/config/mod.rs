@@ -154,7 +154,7 @@ pub struct RenderConfig {
 }
 
 /// How caches are read for a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum FrameFilter {
     /// Sharp, 16 texels.

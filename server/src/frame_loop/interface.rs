@@ -14,6 +14,7 @@ use std::time::Instant;
 use crate::audit::AuditStats;
 use crate::gpu::DeviceInventory;
 use crate::quality::QualitySettings;
+use schemars::JsonSchema;
 use serde::Serialize;
 use skycell_protocol::clouds::CloudsHeader;
 use skycell_protocol::{
@@ -300,7 +301,7 @@ impl Drop for ReadyGuard {
 }
 
 /// The frame loop's figures, published about once a tick.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct RenderStats {
     /// What renders.
     pub adapter: AdapterStats,
@@ -333,7 +334,7 @@ pub struct RenderStats {
 }
 
 /// Losses of the device. Viewers stay; they see their last picture until another device is open.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct DeviceLossStats {
     /// How often it was lost since the start.
     pub losses: u64,
@@ -346,7 +347,7 @@ pub struct DeviceLossStats {
 }
 
 /// The sky's clock, and what it costs.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct SkyTimeStats {
     /// Sky time.
     pub sky_s: f64,
@@ -365,7 +366,7 @@ pub struct SkyTimeStats {
 }
 
 /// The graphics adapter.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct AdapterStats {
     /// What it calls itself.
     pub name: String,
@@ -378,7 +379,7 @@ pub struct AdapterStats {
 }
 
 /// Sums since the frame loop's start; `cache_bytes`, `sun_volume_bytes` and `light_shaft_bytes` are what is allocated now.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct RenderTotals {
     /// Turns of the loop.
     pub ticks: u64,
@@ -439,7 +440,7 @@ pub struct RenderTotals {
 }
 
 /// Viewers on their way from one view cell to another, or from a cell's old anchors to its new ones, and what that takes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct TransitionStats {
     /// Viewers on their way now.
     pub viewers: u64,
@@ -457,7 +458,7 @@ pub struct TransitionStats {
 }
 
 /// What is given up because memory or the time for marching do not suffice. All is 0, and factors 1, where nothing is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct LossStats {
     /// Tiles that all caches may hold.
     pub tiles_max: u64,
@@ -488,7 +489,7 @@ pub struct LossStats {
 }
 
 /// A view cell.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct CellStats {
     /// Its number.
     pub id: CellId,
@@ -535,7 +536,7 @@ pub struct CellStats {
 }
 
 /// A viewer as the frame loop sees it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct ViewerRenderStats {
     /// Its number.
     pub id: ViewerId,
@@ -566,7 +567,7 @@ pub struct ViewerRenderStats {
 }
 
 /// Who asked for a quality.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum AskedBy {
     /// The viewer itself.
@@ -579,7 +580,7 @@ pub enum AskedBy {
 }
 
 /// A quality: what is asked for, what is picked, what it achieves.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct QualityStats {
     /// What is asked for.
     pub asked: Option<QualityChoice>,

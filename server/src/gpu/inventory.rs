@@ -4,12 +4,13 @@
 use super::pipelines::PipelineKey;
 use super::timing::{TimedPass, TimingRing};
 use super::{Gpu, GpuError, Pipelines};
+use schemars::JsonSchema;
 use serde::Serialize;
 use skycell_shaders::{Kernel, compose, resources_of};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Buffers and textures of one purpose.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct ResourceStats {
     /// How many there are.
     pub count: u64,
@@ -18,7 +19,7 @@ pub struct ResourceStats {
 }
 
 /// The device's memory, pipelines and passes.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct DeviceInventory {
     /// Buffers and textures by label, as the device's allocator holds them: not what was asked for, but what is there.
     /// Empty where the backend cannot tell.

@@ -2,12 +2,13 @@
 
 use crate::config::FrameFilter;
 use crate::march::{WINDOW_FRAMES_MAX, WindowPlan};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use skycell_protocol::SunDepth;
 
 /// Settings that trade speed for accuracy. The march's belong to a view cell, since its viewers share what is marched;
 /// mip bias and filter are a viewer's own.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct QualitySettings {
     /// Steps through a layer's thickness, 1 to 4096.

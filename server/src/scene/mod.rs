@@ -6,6 +6,7 @@
 mod file;
 mod history;
 mod journal;
+mod json_patches;
 mod map_folder;
 mod maps;
 mod presets;
@@ -18,7 +19,7 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use serde_json::Value;
 use skycell_protocol::scene::{StillSceneDocument, TimeChange, TimeDocument, TransitionDocument};
-use skycell_protocol::{Moment, Scene, SceneDocument, SceneError};
+use skycell_protocol::{Moment, Scene, SceneDocument, SceneError, ValueError};
 use thiserror::Error;
 use tokio::sync::watch;
 
@@ -28,6 +29,7 @@ use file::SceneFile;
 pub use file::SceneFileError;
 use history::{Revisions, all_named_files};
 use journal::Journal;
+pub use json_patches::{OPERATIONS_MAX, SceneJsonPatch};
 use map_folder::MapFolder;
 pub use maps::MapChoice;
 pub use presets::{Preset, preset, presets};
@@ -86,6 +88,9 @@ pub enum ScenePatchError {
         /// What is wrong with it.
         error: MapFileError,
     },
+    /// An operation of a JSON patch does not fit the scene that there is.
+    #[error("{0}")]
+    Conflict(ValueError),
     /// There is no room for another map.
     #[error("{error}; allowed: {allowed}")]
     MapsFull {
@@ -183,6 +188,24 @@ impl SceneStore {
         self.change(precondition, says_where, &cause, |before, _| {
             let mut document = file::document_of(before)?;
             json_patch::merge(&mut document, patch);
+            Ok(SceneDocument::from_json(&document)?)
+        })
+    }
+
+    /// Changes the scene by a JSON patch (RFC 6902): all of its operations or none. Otherwise as [`Self::patch`].
+    ///
+    /// # Errors
+    /// As [`Self::patch`]; also if an operation finds nothing where it points to, or a test finds something else.
+    pub fn apply(
+        &self,
+        precondition: &Precondition,
+        patch: &SceneJsonPatch,
+    ) -> Result<SceneSnapshot, ScenePatchError> {
+        let cause = Cause::of_kind(ChangeKind::Patch);
+        let says_where = patch.says_where_clouds_are();
+        self.change(precondition, says_where, &cause, |before, _| {
+            let mut document = file::document_of(before)?;
+            patch.apply_to(&mut document)?;
             Ok(SceneDocument::from_json(&document)?)
         })
     }

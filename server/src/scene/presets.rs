@@ -3,6 +3,7 @@
 use std::sync::LazyLock;
 
 use include_dir::{Dir, include_dir};
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
 use skycell_protocol::read_json::{ObjectReader, ReadJson};
@@ -26,7 +27,7 @@ static PRESETS: LazyLock<Vec<Preset>> = LazyLock::new(|| {
 });
 
 /// A sky by name.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Preset {
     /// What the sky does, in a word or three.
     pub name: String,

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
 use skycell_protocol::read_json::{ObjectReader, ReadJson, read_name};
@@ -12,7 +13,7 @@ use skycell_protocol::{Moment, Scene, SceneError};
 const CHANGED_MAX: usize = 16;
 
 /// By what kind of request a revision came about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ChangeKind {
     /// The first start.
@@ -68,7 +69,7 @@ impl Cause {
 }
 
 /// A revision of the scene and where it comes from.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Revision {
     /// Its number, which is its ETag too.
     pub revision: u64,

@@ -15,6 +15,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
@@ -174,6 +175,8 @@ impl ServiceParts {
             shutdown: shutdown.clone(),
             sessions: TaskTracker::new(),
             connections: connection_limit(self.config.viewers_max),
+            subscribers: Arc::new(Semaphore::new(api::SUBSCRIBERS_MAX)),
+            snapshots: api::SnapshotQueue::default(),
         });
         let sessions = context.sessions.clone();
         let is_tls = self.tls.is_some();

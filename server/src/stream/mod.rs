@@ -26,8 +26,10 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
+pub(crate) use session::LeaveOnDrop;
+
 use crate::access::{Gate, Peer};
-use crate::api::Problem;
+use crate::api::{Problem, SnapshotQueue};
 use crate::encode::EncoderPool;
 use crate::encode::video::full_rate_kbit_per_s;
 use crate::frame_loop::interface::FrameLoopHandle;
@@ -73,6 +75,10 @@ pub struct StreamContext {
     pub sessions: TaskTracker,
     /// Bounds connections that have not said hello together with those that have.
     pub connections: Arc<Semaphore>,
+    /// Bounds those who listen to changes of the scene.
+    pub subscribers: Arc<Semaphore>,
+    /// Bounds snapshots.
+    pub snapshots: SnapshotQueue,
 }
 
 impl StreamContext {

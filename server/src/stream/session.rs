@@ -130,10 +130,7 @@ async fn serve(
     if let Err(error) = context.frame_loop.send(join) {
         return inbound::renderer_gone(error, &viewer);
     }
-    let _leave = LeaveOnDrop {
-        frame_loop: context.frame_loop.clone(),
-        viewer: viewer.id(),
-    };
+    let _leave = LeaveOnDrop::new(context.frame_loop.clone(), viewer.id());
     let (answers, waiting_answers) = mpsc::channel(ANSWERS_MAX);
     let welcome = ServerMessage::Welcome(welcome(&viewer, context));
     let end = tokio::select! {
@@ -211,9 +208,15 @@ pub(super) async fn say_goodbye(
 }
 
 /// Tells the renderer that the viewer is gone, however the session ends.
-struct LeaveOnDrop {
+pub(crate) struct LeaveOnDrop {
     frame_loop: FrameLoopHandle,
     viewer: ViewerId,
+}
+
+impl LeaveOnDrop {
+    pub(crate) fn new(frame_loop: FrameLoopHandle, viewer: ViewerId) -> Self {
+        Self { frame_loop, viewer }
+    }
 }
 
 impl Drop for LeaveOnDrop {

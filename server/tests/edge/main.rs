@@ -8,6 +8,7 @@ mod figures;
 mod lifecycle;
 mod limits;
 mod maps;
+mod openapi;
 mod revisions;
 mod scene;
 mod sky_time;

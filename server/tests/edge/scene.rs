@@ -140,7 +140,7 @@ async fn a_patch_of_another_type_is_415_and_says_which_is_right() {
         let response = request.send().await.expect("an answer");
         assert_eq!(
             response.headers()["accept-patch"],
-            "application/merge-patch+json"
+            "application/merge-patch+json, application/json-patch+json"
         );
         problem(response, 415).await;
     }

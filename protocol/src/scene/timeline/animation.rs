@@ -1,18 +1,22 @@
 //! Numbers of the document that change with sky time.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
 
 use crate::ValueError;
 use crate::read_json::{ReadJson, document, read_name};
 use crate::scene::ranges;
+use crate::schema;
 
 document! {
     /// One number of the document that changes with sky time.
+    #[schemars(transform = schema::must_have(&["path", "keyframes"]))]
     pub struct AnimationDocument {
         /// JSON pointer of the number, such as `/layers/0/density/coverage`.
         "path" => path: String = String::new(),
         /// What it is when, in the order of time. Before the first it is the first's value, after the last the last's.
+        #[schemars(length(min = 1, max = ranges::KEYFRAMES_MAX))]
         "keyframes" => keyframes: Vec<KeyframeDocument> = Vec::new(),
         /// What follows the last keyframe.
         "repeat" => repeat: Repeat = Repeat::None,
@@ -23,7 +27,7 @@ document! {
     /// The value of a number at a sky time.
     pub struct KeyframeDocument {
         /// Sky time, s.
-        "at_s" => at_s: f64 = 0.0,
+        "at_s" => at_s: f64 = 0.0; ranges::SKY_TIME_S,
         /// The number's value then.
         "value" => value: f64 = 0.0,
         /// How it goes from here to the next keyframe.
@@ -32,7 +36,7 @@ document! {
 }
 
 /// What follows the last keyframe of an animation.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Repeat {
     /// The number stays.
@@ -56,7 +60,7 @@ impl ReadJson for Repeat {
 }
 
 /// How a number goes from one value to the next.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Ease {
     /// Evenly.

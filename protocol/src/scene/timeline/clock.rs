@@ -11,14 +11,14 @@ document! {
         /// A moment at which sky time is known.
         "epoch" => epoch: Moment = Moment::UNIX_EPOCH,
         /// Sky time at the epoch, s.
-        "sky_s_at_epoch" => sky_s_at_epoch: f64 = 0.0,
+        "sky_s_at_epoch" => sky_s_at_epoch: f64 = 0.0; ranges::SKY_TIME_S,
         /// Seconds of sky time in a second; 24 shows a day in an hour, a negative number runs backwards.
-        "rate" => rate: f64 = 1.0,
+        "rate" => rate: f64 = 1.0; ranges::TIME_RATE,
         /// When the sky was stopped; null while it runs.
         "paused_at" => paused_at: Option<Moment> = None,
         /// Seconds of wind in a second while the sky runs; null for `rate`. A day in an hour with a wind_rate of 1 has
         /// clouds that pass as quietly as ever.
-        "wind_rate" => wind_rate: Option<f64> = None,
+        "wind_rate" => wind_rate: Option<f64> = None; ranges::TIME_RATE,
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -18,6 +19,41 @@ pub struct Drift {
     pub(super) since: Moment,
     /// East, up and south, m, by the layer's name.
     pub(super) layers_m: BTreeMap<String, [f64; 3]>,
+}
+
+impl JsonSchema for Drift {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "Drift".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "description": "How far each layer's clouds had been carried at a moment. Servers write it.",
+            "type": "object",
+            "properties": {
+                "since": generator.subschema_for::<Moment>(),
+                "layers_m": {
+                    "description": "East, up and south, by the layer's name.",
+                    "type": "object",
+                    "maxProperties": 2 * ranges::LAYERS_MAX,
+                    "additionalProperties": {
+                        "type": "array",
+                        "items": {
+                            "type": "number",
+                            "minimum": ranges::DRIFT_M.min,
+                            "maximum": ranges::DRIFT_M.max,
+                            "x-unit": "m",
+                        },
+                        "minItems": 3,
+                        "maxItems": 3,
+                    },
+                },
+            },
+            "required": ["since", "layers_m"],
+            "additionalProperties": false,
+            "x-order": ["since", "layers_m"],
+        })
+    }
 }
 
 impl ReadJson for Drift {

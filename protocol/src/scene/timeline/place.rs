@@ -13,9 +13,9 @@ document! {
     /// A place and a date, which say where the sun stands, and the moon that follows them.
     pub struct PlaceAndTimeDocument {
         /// North positive.
-        "latitude_deg" => latitude_deg: f64 = 51.4769,
+        "latitude_deg" => latitude_deg: f64 = 51.4769; ranges::LATITUDE_DEG,
         /// East positive.
-        "longitude_deg" => longitude_deg: f64 = 0.0,
+        "longitude_deg" => longitude_deg: f64 = 0.0; ranges::LONGITUDE_DEG,
         /// Date and time there at sky time 0.
         "date" => date: Moment = Moment::from_unix_us(1_782_043_200_000_000),
     }

@@ -1,5 +1,6 @@
 //! One sky that becomes another.
 
+use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde_json::Value;
 
 use super::animation::Ease;
@@ -7,6 +8,7 @@ use crate::ValueError;
 use crate::moment::Moment;
 use crate::read_json::{ObjectReader, ReadJson, document};
 use crate::scene::{Scene, SceneDocument, ranges};
+use crate::schema;
 
 document! {
     /// The sky comes from another one. By the clock on the wall, so that it goes on while sky time stands still.
@@ -14,7 +16,7 @@ document! {
         /// When it began.
         "began" => began: Moment = Moment::UNIX_EPOCH,
         /// How long it takes.
-        "duration_s" => duration_s: f64 = 0.0,
+        "duration_s" => duration_s: f64 = 0.0; ranges::TRANSITION_S,
         /// The sky that it begins with: a scene without clock, animation and transition.
         "from" => from: Box<StillSceneDocument> = Box::default(),
     }
@@ -36,6 +38,19 @@ pub struct StillSceneDocument(pub SceneDocument);
 impl serde::Serialize for StillSceneDocument {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         still_value(&self.0).serialize(serializer)
+    }
+}
+
+impl JsonSchema for StillSceneDocument {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "StillScene".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let mut schema = SceneDocument::json_schema(generator);
+        schema.insert("description".into(), "A scene that stands still.".into());
+        schema::remove_properties(&mut schema, &TIMELINE_KEYS);
+        schema
     }
 }
 
