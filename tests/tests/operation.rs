@@ -132,6 +132,7 @@ async fn a_recording_goes_on_when_the_server_is_killed_and_started_again() -> Ou
         stereo: None,
         codec: Codec::Png,
         haze: true,
+        raw: false,
         quality: None,
         sharp_wait: Duration::from_millis(200),
         frame_timeout: Duration::from_secs(60),

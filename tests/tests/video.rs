@@ -182,6 +182,7 @@ async fn a_recorded_video_shows_what_exact_pictures_show_and_is_kept_as_it_came(
             size: FrameSize::new(161, 91)?,
             stereo: None,
             codec,
+            haze: true,
             raw,
             quality: None,
             sharp_wait: Duration::from_secs(20),
