@@ -88,11 +88,7 @@ async fn sharp_frame(
     while let Ok(event) = tokio::time::timeout_at(until, connection.next_event()).await {
         match event? {
             Event::Frame(frame) => {
-                let acknowledgement = Acknowledgement {
-                    sequence: frame.header.sequence,
-                    decode_us: None,
-                    present_us: None,
-                };
+                let acknowledgement = Acknowledgement::of(frame.header.sequence);
                 connection.acknowledge(acknowledgement).await?;
                 let is_exact = frame.header.exact;
                 newest = Some(frame);

@@ -12,6 +12,7 @@ pub mod http_api;
 pub mod load;
 pub mod picture;
 pub mod record;
+pub mod retry;
 pub mod server_address;
 pub mod server_stats;
 pub mod session;

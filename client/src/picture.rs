@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use image::{ImageFormat, ImageReader, Limits, RgbImage};
+use image::{DynamicImage, ImageFormat, ImageReader, Limits, RgbImage};
 use skycell_protocol::FrameCodec;
 use skycell_protocol::frame::FrameHeader;
 use skycell_protocol::view::{FRAME_HEIGHT_MAX, FRAME_WIDTH_MAX};
@@ -37,6 +37,18 @@ pub enum PictureError {
 /// # Errors
 /// If the payload is not the picture that the header describes.
 pub fn to_png(header: &FrameHeader, payload: &[u8]) -> Result<Vec<u8>, PictureError> {
+    let picture = decode(header, payload)?;
+    if header.codec == FrameCodec::Png {
+        return Ok(payload.to_vec());
+    }
+    png_of(&picture.to_rgb8())
+}
+
+/// The picture of a frame.
+///
+/// # Errors
+/// If the payload is not the picture that the header describes.
+pub fn decode(header: &FrameHeader, payload: &[u8]) -> Result<DynamicImage, PictureError> {
     let format = match header.codec {
         FrameCodec::Jpeg => ImageFormat::Jpeg,
         FrameCodec::Png => ImageFormat::Png,
@@ -57,10 +69,7 @@ pub fn to_png(header: &FrameHeader, payload: &[u8]) -> Result<Vec<u8>, PictureEr
             header.height,
         ));
     }
-    if format == ImageFormat::Png {
-        return Ok(payload.to_vec());
-    }
-    png_of(&picture.to_rgb8())
+    Ok(picture)
 }
 
 /// Pixels as a PNG file.

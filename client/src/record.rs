@@ -415,9 +415,9 @@ impl Stage {
 
 fn acknowledgement(frame: &Frame) -> Acknowledgement {
     Acknowledgement {
-        sequence: frame.header.sequence,
-        decode_us: None,
+        received_us: Some(frame.received_unix_us),
         present_us: Some(unix_us_now()),
+        ..Acknowledgement::of(frame.header.sequence)
     }
 }
 

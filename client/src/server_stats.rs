@@ -1,5 +1,7 @@
 //! The server's counters, as far as the load test reads them. What else a server says is ignored.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use skycell_protocol::{CellId, ViewerId};
 
@@ -26,6 +28,22 @@ pub struct ServerStats {
     /// What is given up because memory or time do not suffice.
     #[serde(default)]
     pub losses: LossStats,
+    /// Times of the latest frames by stage.
+    #[serde(default)]
+    pub latency: LatencyStats,
+}
+
+/// Times of frames' ways by stage: `input`, `march_wait`, `composite`, `readback`, `encode_wait`, `encode`, `to_socket`,
+/// `network`, `decode`, `present`, `motion_to_photon`; those of which the server knows nothing are missing.
+pub type LatencyStats = BTreeMap<String, StageTimes>;
+
+/// What half and 95 of 100 of some times do not exceed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StageTimes {
+    /// Half of them are not longer.
+    pub p50_ms: f64,
+    /// 95 of 100 are not longer.
+    pub p95_ms: f64,
 }
 
 /// How far cached texels are from texels marched anew.
@@ -54,6 +72,9 @@ pub struct ServiceStats {
     /// Processor time since the start, s.
     #[serde(default)]
     pub cpu_s: Option<f64>,
+    /// Frames encoded since the start.
+    #[serde(default)]
+    pub frames_encoded: u64,
     /// Memory that its process holds.
     #[serde(default)]
     pub memory_bytes: Option<u64>,

@@ -56,9 +56,11 @@ async fn a_session_says_hello_moves_its_camera_and_acknowledges() {
     assert!(frame.age() >= Duration::from_millis(1));
     connection
         .acknowledge(Acknowledgement {
-            sequence: frame.header.sequence,
             decode_us: Some(5),
-            present_us: Some(6),
+            received_us: Some(6),
+            present_us: Some(7),
+            motion_to_photon_us: Some(8),
+            ..Acknowledgement::of(frame.header.sequence)
         })
         .await
         .expect("sent");

@@ -21,6 +21,7 @@ fn options() -> LoadOptions {
         fps: 60.0,
         converge_timeout: Duration::from_secs(10),
         turn_duration: Duration::from_millis(300),
+        decodes: true,
         turn_speed_deg_per_s: 10.0,
         samples_per_texel: SAMPLES as u32,
         quality: None,

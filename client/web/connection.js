@@ -14,6 +14,7 @@
  */
 
 import { FrameError, parseFrameHeader } from "./frame-header.js";
+import { RecentTimes, stagesOf } from "./latency.js";
 
 /** @typedef {import("./look.js").Camera} Camera */
 /** @typedef {import("./frame-header.js").FrameHeader} FrameHeader */
@@ -114,6 +115,8 @@ import { FrameError, parseFrameHeader } from "./frame-header.js";
  * @property {number} fps  frames shown per second, over the last two seconds
  * @property {number} mbit_per_s  received, over the last two seconds
  * @property {number | null} latency_ms  from sending an input to showing the first frame with it, smoothed
+ * @property {import("./latency.js").Percentiles | null} motion_to_photon_ms  the same of the latest inputs; null before the first
+ * @property {import("./latency.js").Stages | null} stages  where the newest frame's time went
  * @property {number | null} frame_age_ms  from rendering a frame to showing it, by the two machines' clocks
  * @property {number} frames_received
  * @property {number} frames_presented
@@ -134,6 +137,8 @@ const RATE_WINDOW_MS = 2_000;
 const STATUS_PERIOD_MS = 500;
 const MAX_INPUTS_IN_FLIGHT = 256;
 const MAX_FRAMES_IN_RATE_WINDOW = 512;
+/** Of how many of the latest inputs percentiles are told. */
+const MAX_MOTIONS = 256;
 /** Above this the line cannot follow: the newest camera waits instead of joining a queue. */
 const MAX_BUFFERED_BYTES = 16_384;
 
@@ -205,6 +210,7 @@ export class Connection {
   /** @type {ReturnType<typeof setInterval>} */ #status_timer;
   /** @type {{ at_ms: number, bytes: number }[]} */ #received = [];
   /** When frames were shown, ms. @type {number[]} */ #shown = [];
+  /** From sending inputs to showing them, ms. */ #motions = new RecentTimes(MAX_MOTIONS);
   /** @type {Set<(frame: Frame) => void>} */ #frame_handlers = new Set();
   /** @type {Set<(status: ConnectionStatus) => void>} */ #status_handlers = new Set();
   #listeners = new AbortController();
@@ -219,6 +225,8 @@ export class Connection {
     fps: 0,
     mbit_per_s: 0,
     latency_ms: null,
+    motion_to_photon_ms: null,
+    stages: null,
     frame_age_ms: null,
     frames_received: 0,
     frames_presented: 0,
@@ -400,37 +408,45 @@ export class Connection {
    */
   #presenter(header) {
     const socket = this.#socket; // an acknowledgement must not reach the session after this one
+    const received_us = unixMicros();
     return ({ decode_us, present_us }) => {
       if (socket !== this.#socket || this.#status.state !== "open") return;
+      const now_ms = performance.now();
+      const motion_ms = this.#measureLatency(header.input, now_ms);
       this.#send({
         type: "ack",
         sequence: header.sequence,
         decode_us: Math.max(0, Math.round(decode_us)),
+        received_us,
         present_us: Math.max(0, Math.round(present_us)),
+        ...(motion_ms !== null && { motion_to_photon_us: Math.round(motion_ms * 1000) }),
       });
-      const now_ms = performance.now();
+      this.#status.stages = stagesOf(header, { received_us, decode_us, present_us });
       this.#status.frames_presented += 1;
       this.#shown.push(now_ms);
       if (this.#shown.length > MAX_FRAMES_IN_RATE_WINDOW) this.#shown.shift();
       this.#status.frame_age_ms = (present_us - header.render_unix_us) / 1000;
-      this.#measureLatency(header.input, now_ms);
     };
   }
 
   /**
    * @param {number} input
    * @param {number} now_ms
+   * @returns {number | null}  how long ago the input was sent, if it is shown for the first time
    */
   #measureLatency(input, now_ms) {
-    if (input <= this.#input_shown) return;
+    if (input <= this.#input_shown) return null;
     this.#input_shown = input;
     const sent_ms = this.#inputs_in_flight.get(input);
     for (const older of this.#inputs_in_flight.keys()) {
       if (older <= input) this.#inputs_in_flight.delete(older);
     }
-    if (sent_ms === undefined) return;
-    const before_ms = this.#status.latency_ms ?? now_ms - sent_ms;
-    this.#status.latency_ms = before_ms + 0.3 * (now_ms - sent_ms - before_ms);
+    if (sent_ms === undefined) return null;
+    const motion_ms = now_ms - sent_ms;
+    const before_ms = this.#status.latency_ms ?? motion_ms;
+    this.#status.latency_ms = before_ms + 0.3 * (motion_ms - before_ms);
+    this.#motions.push(motion_ms);
+    return motion_ms;
   }
 
   #scheduleCamera() {
@@ -510,7 +526,16 @@ export class Connection {
     this.#inputs_in_flight.clear();
     this.#received.length = 0;
     this.#shown.length = 0;
-    Object.assign(this.#status, { server: null, latency_ms: null, frame_age_ms: null, fps: 0, mbit_per_s: 0 });
+    this.#motions.clear();
+    Object.assign(this.#status, {
+      server: null,
+      latency_ms: null,
+      motion_to_photon_ms: null,
+      stages: null,
+      frame_age_ms: null,
+      fps: 0,
+      mbit_per_s: 0,
+    });
   }
 
   /** @param {string} message */
@@ -541,6 +566,7 @@ export class Connection {
     this.#received = this.#received.filter(({ at_ms }) => at_ms > since_ms);
     this.#shown = this.#shown.filter((at_ms) => at_ms > since_ms);
     const bytes = this.#received.reduce((sum, { bytes }) => sum + bytes, 0);
+    this.#status.motion_to_photon_ms = this.#motions.percentiles();
     this.#status.fps = this.#shown.length / (RATE_WINDOW_MS / 1000);
     this.#status.mbit_per_s = (bytes * 8) / 1e6 / (RATE_WINDOW_MS / 1000);
     if (this.#status.state === "waiting" && Number.isFinite(this.#retry_ms)) {

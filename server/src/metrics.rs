@@ -3,6 +3,8 @@
 
 mod service;
 
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use metrics::{
@@ -14,8 +16,11 @@ use metrics_exporter_prometheus::{
 };
 use metrics_util::MetricKindMask;
 
+use skycell_protocol::FrameStages;
+
 use crate::access::Refusal;
 use crate::frame_loop::interface::RenderStats;
+use crate::viewers::{Acknowledged, Latencies, LatencyReport, Stage};
 pub use service::ServiceFigures;
 
 /// Edges of the buckets of durations: from a small JPEG to a frame that is useless.
@@ -25,6 +30,9 @@ const DURATION_BUCKETS_S: [f64; 14] = [
 
 /// Gauges of cells that are gone leave the page after this time.
 const GAUGE_IDLE_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Of how many of the latest frames of all viewers percentiles are told.
+const LATENCIES_MAX: usize = 1024;
 
 /// Counters and histograms that the service writes as things happen.
 pub struct Metrics {
@@ -50,6 +58,11 @@ pub struct Metrics {
     pub frame_age_s: Histogram,
     /// By [`Refusal::ALL`].
     refusals: [Counter; Refusal::ALL.len()],
+    /// Frames that were encoded.
+    pub frames_encoded: AtomicU64,
+    /// Durations of the stages of frames' ways, in the order of [`Stage::ALL`].
+    stages_s: [Histogram; Stage::ALL.len()],
+    latencies: Mutex<Latencies>,
 }
 
 impl Metrics {
@@ -76,6 +89,7 @@ impl Metrics {
                 histogram!("skycell_encode_seconds", "codec" => "clouds"),
                 Refusal::ALL
                     .map(|refusal| counter!("skycell_refusals_total", "reason" => refusal.name())),
+                Stage::ALL.map(stage_histogram),
                 histogram!("skycell_encode_seconds", "codec" => "h264"),
             )
         });
@@ -91,7 +105,10 @@ impl Metrics {
             frame_age_s: metrics.6,
             encode_clouds_s: metrics.7,
             refusals: metrics.8,
-            encode_h264_s: metrics.9,
+            frames_encoded: AtomicU64::new(0),
+            stages_s: metrics.9,
+            latencies: Mutex::new(Latencies::new(LATENCIES_MAX)),
+            encode_h264_s: metrics.10,
         })
     }
 
@@ -102,6 +119,40 @@ impl Metrics {
         }
     }
 
+    /// Counts a frame that is handed to a socket, and the time that it took by stage.
+    pub fn sent(&self, stages: &FrameStages) {
+        self.frames_sent.increment(1);
+        self.took(Stage::of_header(stages));
+    }
+
+    /// Counts what an acknowledgement tells.
+    pub fn acknowledged(&self, told: &Acknowledged) {
+        if let Some(age_us) = told.age_us {
+            self.frame_age_s.record(age_us as f64 * 1.0e-6);
+        }
+        self.took(told.stages.iter().copied());
+    }
+
+    fn took(&self, times_us: impl Iterator<Item = (Stage, u64)>) {
+        let mut latencies = self.latencies();
+        for (stage, time_us) in times_us {
+            self.stages_s[stage as usize].record(time_us as f64 * 1.0e-6);
+            latencies.push(stage, time_us);
+        }
+    }
+
+    /// Percentiles of the latest frames of all viewers, by stage.
+    pub fn latency_report(&self) -> LatencyReport {
+        self.latencies().report()
+    }
+
+    fn latencies(&self) -> MutexGuard<'_, Latencies> {
+        // A ring of numbers is whole whenever a panic may come.
+        self.latencies
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Folds recorded durations into their buckets. To be called every few seconds: until then
     /// each one takes memory.
     pub fn fold(&self) {
@@ -110,13 +161,33 @@ impl Metrics {
 
     /// The page that Prometheus reads.
     pub fn render(&self, viewers: usize, stats: &RenderStats) -> String {
-        with_local_recorder(&self.recorder, || set_render_figures(viewers, stats));
+        with_local_recorder(&self.recorder, || {
+            let encoded = self.frames_encoded.load(Ordering::Relaxed);
+            counter!("skycell_frames_encoded_total").absolute(encoded);
+            set_render_figures(viewers, stats);
+        });
         self.page.render()
+    }
+}
+
+fn stage_histogram(stage: Stage) -> Histogram {
+    match stage {
+        Stage::MotionToPhoton => histogram!("skycell_motion_to_photon_seconds"),
+        stage => histogram!("skycell_frame_stage_seconds", "stage" => stage.name()),
     }
 }
 
 fn describe() {
     service::describe();
+    describe_counter!("skycell_frames_encoded_total", "Frames encoded");
+    describe_histogram!(
+        "skycell_frame_stage_seconds",
+        "Durations of the stages of frames' ways, from the input's arrival to the screen"
+    );
+    describe_histogram!(
+        "skycell_motion_to_photon_seconds",
+        "From a client's sending an input until it showed the first frame with it, as it says"
+    );
     describe_gauge!("skycell_viewers", "Connected viewers");
     describe_counter!("skycell_frames_sent_total", "Frames handed to sockets");
     describe_counter!(
@@ -390,6 +461,15 @@ mod tests {
         let metrics = Metrics::new().expect("good settings");
         metrics.frames_sent.increment(3);
         metrics.encode_jpeg_s.record(0.003);
+        metrics.sent(&FrameStages {
+            composite_us: 3_000,
+            ..FrameStages::default()
+        });
+        metrics.acknowledged(&Acknowledged {
+            stages: vec![(Stage::MotionToPhoton, 70_000)],
+            ..Acknowledged::default()
+        });
+        assert_eq!(metrics.latency_report()["composite"].p95_ms, 3.0);
         let stats = RenderStats {
             totals: RenderTotals {
                 texels_updated: 7,
@@ -405,7 +485,11 @@ mod tests {
         let page = metrics.render(2, &stats);
         for line in [
             "skycell_viewers 2",
-            "skycell_frames_sent_total 3",
+            "skycell_frames_sent_total 4",
+            "skycell_frames_encoded_total 0",
+            "skycell_frame_stage_seconds_bucket{stage=\"composite\",le=\"0.004\"} 1",
+            "skycell_frame_stage_seconds_bucket{stage=\"composite\",le=\"0.002\"} 0",
+            "skycell_motion_to_photon_seconds_bucket{le=\"0.1\"} 1",
             "skycell_texels_updated_total 7",
             "skycell_cell_overlap{cell=\"0\",name=\"harbour\"} 0.75",
             "skycell_encode_seconds_bucket{codec=\"jpeg\",le=\"0.004\"} 1",

@@ -5,6 +5,7 @@ pub mod browser;
 pub mod numbers;
 pub mod picture;
 pub mod server;
+pub mod slow_link;
 pub mod tone;
 pub mod viewer;
 

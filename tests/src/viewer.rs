@@ -195,12 +195,9 @@ async fn note(
                 seen.frames += 1;
                 seen.frame = Some(frame);
             });
-            let acknowledgement = Acknowledgement {
-                sequence,
-                decode_us: None,
-                present_us: None,
-            };
-            connection.acknowledge(acknowledgement).await?;
+            connection
+                .acknowledge(Acknowledgement::of(sequence))
+                .await?;
         }
         Event::Heartbeat(header) => seen.send_modify(|seen| seen.heartbeat = Some(header)),
         Event::Status(status) => seen.send_modify(|seen| seen.status = Some(status)),

@@ -31,11 +31,7 @@ async fn hear_until<T>(
         loop {
             let event = connection.next_event().await?;
             if let Event::Frame(frame) = &event {
-                let acknowledgement = Acknowledgement {
-                    sequence: frame.header.sequence,
-                    decode_us: None,
-                    present_us: None,
-                };
+                let acknowledgement = Acknowledgement::of(frame.header.sequence);
                 connection.acknowledge(acknowledgement).await?;
             }
             if let Some(found) = wanted(&event) {

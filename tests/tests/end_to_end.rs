@@ -176,6 +176,11 @@ async fn an_empty_server_and_a_resting_sky_submit_nothing() -> Outcome {
                 total_of(&after, name)?
             );
         }
+        let encoded = |stats: &Value| stats["service"]["frames_encoded"].as_u64();
+        ensure!(
+            encoded(&before).is_some() && encoded(&before) == encoded(&after),
+            "{what}: frames were encoded"
+        );
         anyhow::Ok(())
     };
     unchanged_for(2, "no client").await?;

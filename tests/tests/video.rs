@@ -64,11 +64,7 @@ impl Watcher {
                 continue;
             };
             let sequence = frame.header.sequence;
-            let acknowledgement = Acknowledgement {
-                sequence,
-                decode_us: None,
-                present_us: None,
-            };
+            let acknowledgement = Acknowledgement::of(sequence);
             self.connection.acknowledge(acknowledgement).await?;
             let picture = match frame.header.codec {
                 FrameCodec::H264 => self.decoder.decode(&frame.header, frame.payload()),

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use skycell_client::ServerAddress;
-use skycell_client::load::{self, LoadOptions, LoadReport, SoakOptions, ViewerRing};
+use skycell_client::load::{self, LoadOptions, LoadReport, SoakOptions, StormOptions, ViewerRing};
 use skycell_protocol::FrameSize;
 
 use super::{
@@ -112,6 +112,13 @@ pub(crate) struct Arguments {
     /// Has the same views by the screen-space renderer as well, one frame each.
     #[arg(long)]
     renderer_baseline: bool,
+    /// Decodes frames before it acknowledges them, as a viewer does who shows them.
+    #[arg(long)]
+    decode: bool,
+    /// All viewers connect at once, are cut off and connect at once again, instead of overlaps. Fails where one has no
+    /// picture within 5 s.
+    #[arg(long)]
+    storm: bool,
     /// Takes the wind out of the scene first and puts it back afterwards.
     #[arg(long)]
     wind_off: bool,
@@ -134,6 +141,9 @@ const CROWD_MAX_S: f64 = 86_400.0;
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     if let Some(CrowdArgument::Migrate) = arguments.crowd {
         return soak(&arguments).await;
+    }
+    if arguments.storm {
+        return storm(&arguments).await;
     }
     let options = options(&arguments)?;
     let to_stdout = arguments.json.as_deref() == Some(Path::new("-"));
@@ -199,6 +209,36 @@ async fn soak(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
+async fn storm(arguments: &Arguments) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        (1..=CROWD_VIEWERS_MAX).contains(&arguments.viewers),
+        "--viewers is {}; allowed: 1 to {CROWD_VIEWERS_MAX}",
+        arguments.viewers
+    );
+    in_range("--fps", arguments.fps, 1.0, 120.0)?;
+    let options = StormOptions {
+        viewers: arguments.viewers,
+        size: FrameSize::new(arguments.width, arguments.height)?,
+        fps: arguments.fps,
+    };
+    let report = tokio::select! {
+        report = load::storm::run(&arguments.url, &options) => report?,
+        () = asked_to_stop() => anyhow::bail!("interrupted"),
+    };
+    let json = serde_json::to_string_pretty(&report)?;
+    match arguments.json.as_deref() {
+        Some(file) if file == Path::new("-") => print_line(&json)?,
+        file => {
+            if let Some(file) = file {
+                std::fs::write(file, json).with_context(|| file.display().to_string())?;
+            }
+            print_line(report.table().trim_end())?;
+        }
+    }
+    anyhow::ensure!(report.is_kept(), "a viewer had no picture in time");
+    Ok(())
+}
+
 fn save(file: &Path, report: &LoadReport) -> anyhow::Result<()> {
     let text = serde_json::to_vec_pretty(report)?;
     std::fs::write(file, text).with_context(|| file.display().to_string())
@@ -249,6 +289,7 @@ fn options(arguments: &Arguments) -> anyhow::Result<LoadOptions> {
         converge_timeout: Duration::from_secs_f64(arguments.converge_timeout_s),
         turn_duration: Duration::from_secs_f64(arguments.seconds),
         turn_speed_deg_per_s: arguments.turn_speed,
+        decodes: arguments.decode,
         samples_per_texel: arguments.samples,
         quality: arguments.quality.map(QualityArgument::preset),
         renderer_baseline: arguments.renderer_baseline,

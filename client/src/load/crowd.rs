@@ -40,6 +40,7 @@ impl Crowd {
                 ring: options.ring,
                 number,
                 overlap,
+                decodes: options.decodes,
             };
             let camera = options.ring.camera(number, overlap, 0.0);
             let hello = Hello {

@@ -6,7 +6,7 @@
 //! cost. Then all turn together for some seconds, which gives frame rates and frame ages. They leave,
 //! and the next overlap begins when the server's caches are empty again.
 //!
-//! Viewers acknowledge frames without decoding them. Nothing but the given server is talked to,
+//! Viewers acknowledge frames without decoding them, unless they are told to. Nothing but the given server is talked to,
 //! and every wait ends.
 
 mod baseline;
@@ -15,6 +15,7 @@ mod overlap;
 pub mod report;
 pub mod ring;
 pub mod soak;
+pub mod storm;
 pub mod table;
 mod viewer;
 mod wait;
@@ -31,6 +32,7 @@ pub use self::report::LoadReport;
 pub use self::ring::ViewerRing;
 pub use self::soak::report::SoakReport;
 pub use self::soak::{SoakOptions, soak};
+pub use self::storm::{Storm, StormOptions, StormReport, StormRound};
 pub use self::table::table;
 pub use self::viewer::{TimesMs, TurningFigures, ViewerFigures};
 use self::wind::StilledWind;
@@ -59,6 +61,8 @@ pub struct LoadOptions {
     pub turn_duration: Duration,
     /// How fast to turn.
     pub turn_speed_deg_per_s: f64,
+    /// Viewers decode frames before they acknowledge them, as those do who show them.
+    pub decodes: bool,
     /// Updates until a texel has converged, if the server does not tell.
     pub samples_per_texel: u32,
     /// How good pictures are to be; none for what the scene or the server says.
@@ -156,6 +160,7 @@ async fn measure(
         vertical_fov_deg: options.ring.vertical_fov_deg(),
         samples_per_texel: stats.samples.unwrap_or(options.samples_per_texel),
         turn_speed_deg_per_s: options.turn_speed_deg_per_s,
+        decodes: options.decodes,
         overlaps: Vec::new(),
     };
     for &overlap in &options.overlaps {

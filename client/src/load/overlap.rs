@@ -10,7 +10,7 @@ use super::report::{IdealComparison, OverlapReport, TurningReport};
 use super::viewer::{TimesMs, ViewerFigures, times_histogram};
 use super::wait::{wait_until_converged, wait_until_empty};
 use super::{LoadError, LoadOptions};
-use crate::server_stats::Totals;
+use crate::server_stats::{LatencyStats, Totals};
 use crate::{HttpApi, ServerAddress};
 
 pub(super) async fn measure(
@@ -39,6 +39,7 @@ pub(super) async fn measure(
         Some((
             after.totals.since(&before.totals),
             cpu_s.map(|(after, before)| after - before),
+            after.latency,
         ))
     } else {
         None
@@ -71,7 +72,7 @@ pub(super) async fn measure(
         },
         screen_space,
         turning: turning_totals
-            .map(|(totals, cpu_s)| turning_report(options, totals, cpu_s, viewers)),
+            .map(|(totals, cpu_s, stages)| turning_report(options, totals, cpu_s, stages, viewers)),
     })
 }
 
@@ -79,14 +80,16 @@ fn turning_report(
     options: &LoadOptions,
     spent: Totals,
     cpu_s: Option<f64>,
+    stages: LatencyStats,
     viewers: Vec<ViewerFigures>,
 ) -> TurningReport {
-    let mut ages_us = times_histogram();
+    let (mut ages_us, mut motions_us) = (times_histogram(), times_histogram());
     let mut fps = Vec::new();
     let mut frames = 0;
     for turning in viewers.iter().filter_map(|viewer| viewer.turning.as_ref()) {
         // Both have the same bounds, so nothing can be out of them.
         let _ = ages_us.add(&turning.ages_us);
+        let _ = motions_us.add(&turning.motions_us);
         fps.push(turning.fps);
         frames += turning.frames;
     }
@@ -103,6 +106,8 @@ fn turning_report(
         fps_min: fps.first().copied().unwrap_or(0.0),
         fps_median: fps.get(fps.len() / 2).copied().unwrap_or(0.0),
         frame_age_ms: TimesMs::of(&ages_us),
+        motion_to_photon_ms: TimesMs::of(&motions_us),
+        stages,
         viewers,
     }
 }

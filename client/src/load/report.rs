@@ -4,7 +4,7 @@ use serde::Serialize;
 use skycell_protocol::Stereo;
 
 use super::viewer::{TimesMs, ViewerFigures};
-use crate::server_stats::AdapterStats;
+use crate::server_stats::{AdapterStats, LatencyStats};
 
 /// A whole load test; the file that `--json` names.
 #[derive(Clone, Debug, Serialize)]
@@ -43,6 +43,8 @@ pub struct LoadReport {
     pub samples_per_texel: u32,
     /// How fast all turned in the turning phase.
     pub turn_speed_deg_per_s: f64,
+    /// Viewers decoded frames before they acknowledged them.
+    pub decodes: bool,
     /// One entry per overlap, in the order of measuring.
     pub overlaps: Vec<OverlapReport>,
 }
@@ -145,6 +147,10 @@ pub struct TurningReport {
     pub fps_median: f64,
     /// Over the frames of all viewers.
     pub frame_age_ms: TimesMs,
+    /// From sending a camera until the first frame with it was shown, over all viewers.
+    pub motion_to_photon_ms: TimesMs,
+    /// Where that time goes, as the server tells of its latest frames, by stage.
+    pub stages: LatencyStats,
     /// Each viewer, in the order of the ring.
     pub viewers: Vec<ViewerFigures>,
 }
@@ -250,6 +256,7 @@ pub(super) mod tests {
             vertical_fov_deg: 12.8,
             samples_per_texel: 8,
             turn_speed_deg_per_s: 10.0,
+            decodes: false,
             overlaps,
         };
         report.compare_with_ideal();

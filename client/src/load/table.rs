@@ -87,6 +87,20 @@ const COLUMNS: &[Column] = &[
         },
     },
     Column {
+        title: ["motion-", "photon p50"],
+        cell: |row| {
+            let turning = row.turning.as_ref();
+            optional(turning.map(|turning| turning.motion_to_photon_ms.p50), 0)
+        },
+    },
+    Column {
+        title: ["to-", "ms p95"],
+        cell: |row| {
+            let turning = row.turning.as_ref();
+            optional(turning.map(|turning| turning.motion_to_photon_ms.p95), 0)
+        },
+    },
+    Column {
         title: ["remarks", ""],
         cell: remarks,
     },
@@ -126,8 +140,50 @@ pub fn table(report: &LoadReport) -> String {
         text.push_str(cells.join("  ").trim_end());
         text.push('\n');
     }
+    text.push_str(&stages(report));
     text
 }
+
+/// Where the time goes, of each overlap in which viewers turned.
+fn stages(report: &LoadReport) -> String {
+    let mut text = String::new();
+    for row in &report.overlaps {
+        let Some(turning) = row.turning.as_ref().filter(|t| !t.stages.is_empty()) else {
+            continue;
+        };
+        let told: Vec<String> = STAGES
+            .iter()
+            .filter_map(|stage| {
+                let times = turning.stages.get(*stage)?;
+                Some(format!("{stage} {:.1}/{:.1}", times.p50_ms, times.p95_ms))
+            })
+            .collect();
+        let percent = row.nominal_overlap_percent;
+        text.push_str(&format!(
+            "\n{percent:.0} %, ms p50/p95: {}",
+            told.join(", ")
+        ));
+    }
+    if !text.is_empty() {
+        text.push('\n');
+    }
+    text
+}
+
+/// Stages of a frame's way in their order.
+const STAGES: [&str; 11] = [
+    "input",
+    "march_wait",
+    "composite",
+    "readback",
+    "encode_wait",
+    "encode",
+    "to_socket",
+    "network",
+    "decode",
+    "present",
+    "motion_to_photon",
+];
 
 fn heading(report: &LoadReport) -> String {
     format!(

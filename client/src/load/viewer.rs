@@ -40,6 +40,8 @@ pub(super) struct Place {
     pub(super) ring: ViewerRing,
     pub(super) number: u32,
     pub(super) overlap: f64,
+    /// It decodes frames before it acknowledges them.
+    pub(super) decodes: bool,
 }
 
 /// Quantiles of times.
@@ -94,11 +96,16 @@ pub struct TurningFigures {
     pub frame_age_ms: TimesMs,
     /// From sending a camera to the arrival of the first frame that shows it or a later one.
     pub latency_ms: TimesMs,
+    /// From sending a camera until the first frame that shows it or a later one was decoded, if frames are, and shown.
+    pub motion_to_photon_ms: TimesMs,
     /// The longest time without a frame.
     pub longest_gap_ms: f64,
     /// Every frame's age, for quantiles over several viewers.
     #[serde(skip)]
     pub(super) ages_us: Histogram<u64>,
+    /// Every input's time until it was shown, likewise.
+    #[serde(skip)]
+    pub(super) motions_us: Histogram<u64>,
 }
 
 /// Connects, tells its number, and does what `phase` says until that is [`Phase::Leave`].
@@ -146,16 +153,21 @@ pub(super) async fn run_viewer(
             }
             event = connection.next_event() => match event? {
                 Event::Frame(frame) => {
-                    connection.acknowledge(Acknowledgement {
-                        sequence: frame.header.sequence,
-                        decode_us: None,
-                        present_us: Some(unix_us_now()),
-                    }).await?;
                     figures.frames += 1;
                     figures.first_frame_ms.get_or_insert(begun.elapsed().as_secs_f64() * 1000.0);
-                    if let Some(turning) = &mut turning {
-                        turning.received(&frame);
+                    let input_sent = turning.as_mut().and_then(|turning| turning.received(&frame));
+                    let decode_us = if place.decodes { Some(decode(&frame).await) } else { None };
+                    let motion = input_sent.map(|sent| sent.elapsed());
+                    if let (Some(turning), Some(motion)) = (&mut turning, motion) {
+                        turning.motions_us.saturating_record(micros(motion));
                     }
+                    connection.acknowledge(Acknowledgement {
+                        decode_us,
+                        received_us: Some(frame.received_unix_us),
+                        present_us: Some(unix_us_now()),
+                        motion_to_photon_us: motion.map(|motion| u32::try_from(micros(motion)).unwrap_or(u32::MAX)),
+                        ..Acknowledgement::of(frame.header.sequence)
+                    }).await?;
                 }
                 Event::Resumed => {
                     figures.reconnects = connection.reconnects();
@@ -184,6 +196,7 @@ struct Turning {
     bytes: u64,
     ages_us: Histogram<u64>,
     latencies_us: Histogram<u64>,
+    motions_us: Histogram<u64>,
 }
 
 impl Turning {
@@ -198,6 +211,7 @@ impl Turning {
             bytes: 0,
             ages_us: times_histogram(),
             latencies_us: times_histogram(),
+            motions_us: times_histogram(),
         }
     }
 
@@ -212,7 +226,8 @@ impl Turning {
         self.inputs.push_back((input, Instant::now()));
     }
 
-    fn received(&mut self, frame: &Frame) {
+    /// Counts a frame; returns when the input was sent that it is the first to show.
+    fn received(&mut self, frame: &Frame) -> Option<Instant> {
         let now = Instant::now();
         self.frames += 1;
         self.bytes += frame.message_bytes() as u64;
@@ -230,6 +245,7 @@ impl Turning {
         if let Some(sent) = shown_since {
             self.latencies_us.saturating_record(micros(now - sent));
         }
+        shown_since
     }
 
     fn figures(self) -> TurningFigures {
@@ -241,14 +257,27 @@ impl Turning {
             mbit_per_s: self.bytes as f64 * 8.0 / 1e6 / seconds,
             frame_age_ms: TimesMs::of(&self.ages_us),
             latency_ms: TimesMs::of(&self.latencies_us),
+            motion_to_photon_ms: TimesMs::of(&self.motions_us),
             longest_gap_ms: self
                 .longest_gap
                 .max(self.last_frame.elapsed())
                 .as_secs_f64()
                 * 1000.0,
             ages_us: self.ages_us,
+            motions_us: self.motions_us,
         }
     }
+}
+
+/// Decodes a frame as a client would that shows it, and tells how long that took, µs. A broken one is the server's affair.
+async fn decode(frame: &Frame) -> u32 {
+    let begun = Instant::now();
+    let frame = frame.clone();
+    let decoding = tokio::task::spawn_blocking(move || {
+        let _ = crate::picture::decode(&frame.header, frame.payload());
+    });
+    let _ = decoding.await;
+    u32::try_from(micros(begun.elapsed())).unwrap_or(u32::MAX)
 }
 
 fn micros(time: Duration) -> u64 {

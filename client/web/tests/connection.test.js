@@ -136,11 +136,21 @@ test("a frame shown is acknowledged with its times and measures the latency of i
   connection.setCamera({ ...camera, yaw_deg: 7 });
   await afterAnimationFrame();
   socket.say(frameBytes({ input: 1n }));
-  assert.deepEqual(socket.sent.at(-1), { type: "ack", sequence: 70_000, decode_us: 1500, present_us: 1_790_000_000_200_000 });
-  const { latency_ms, frame_age_ms, frames_presented } = connection.status;
+  const { received_us, motion_to_photon_us, ...ack } = socket.sent.at(-1);
+  assert.deepEqual(ack, { type: "ack", sequence: 70_000, decode_us: 1500, present_us: 1_790_000_000_200_000 });
+  assert.ok(Math.abs(received_us - Date.now() * 1000) < 1e6, `${received_us}`);
+  assert.ok(motion_to_photon_us > 0 && motion_to_photon_us < 1e6, `${motion_to_photon_us} µs`);
+  const { latency_ms, frame_age_ms, frames_presented, stages } = connection.status;
+  assert.equal(stages.encode_ms, 0.666);
+  // The same frame once more shows no new input.
+  socket.say(frameBytes({ input: 1n }));
+  assert.equal(socket.sent.at(-1).motion_to_photon_us, undefined);
   assert.ok(latency_ms > 0 && latency_ms < 1000, `${latency_ms} ms`);
   assert.equal(frame_age_ms, 76.544);
   assert.equal(frames_presented, 1);
+  await new Promise((resolve) => setTimeout(resolve, 600)); // a status
+  const { p50, p95 } = connection.status.motion_to_photon_ms;
+  assert.ok(p50 === p95 && Math.abs(p50 * 1000 - motion_to_photon_us) <= 1, `${p50} ms`);
 });
 
 test("a heartbeat is no frame and wants no acknowledgement", (t) => {

@@ -174,9 +174,28 @@ pub struct Acknowledgement {
     /// How long the client took to decode it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub decode_us: Option<u32>,
+    /// The client's clock when the frame had arrived, µs since 1970.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub received_us: Option<u64>,
     /// The client's clock when the frame was shown, µs since 1970.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub present_us: Option<u64>,
+    /// If the frame is the first with an input, how long that was ago when the frame was shown: from sending it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub motion_to_photon_us: Option<u32>,
+}
+
+impl Acknowledgement {
+    /// Without any times.
+    pub fn of(sequence: FrameSequence) -> Self {
+        Self {
+            sequence,
+            decode_us: None,
+            received_us: None,
+            present_us: None,
+            motion_to_photon_us: None,
+        }
+    }
 }
 
 /// Why a text is no message of a client.
@@ -402,11 +421,20 @@ fn read_view_change(members: &ObjectReader<'_>) -> Result<ViewChange, ValueError
 }
 
 fn read_acknowledgement(members: &ObjectReader<'_>) -> Result<Acknowledgement, ValueError> {
-    members.only(&["type", "sequence", "decode_us", "present_us"])?;
+    members.only(&[
+        "type",
+        "sequence",
+        "decode_us",
+        "received_us",
+        "present_us",
+        "motion_to_photon_us",
+    ])?;
     Ok(Acknowledgement {
         sequence: FrameSequence(members.required("sequence", "the number of a frame")?),
         decode_us: members.optional("decode_us")?,
+        received_us: members.optional("received_us")?,
         present_us: members.optional("present_us")?,
+        motion_to_photon_us: members.optional("motion_to_photon_us")?,
     })
 }
 
@@ -598,7 +626,7 @@ mod tests {
             width in 1..=3840u32, height in 1..=2160u32, fps in 1.0..=120.0f64, quality in 1..=100u32,
             png in any::<bool>(), screen_space in any::<bool>(), yaw_deg in -180.0..180.0f64,
             input in any::<u64>(), sequence in any::<u32>(), decode_us in any::<Option<u32>>(),
-            present_us in any::<Option<u64>>(), some in any::<[bool; 5]>(),
+            present_us in any::<Option<u64>>(), received_us in any::<Option<u64>>(), some in any::<[bool; 5]>(),
             max_error in proptest::option::of(proptest::option::of(0.001..=1.0f64)),
             eyes in proptest::option::of(proptest::option::of(0.0..=100.0f64)),
         ) {
@@ -633,7 +661,8 @@ mod tests {
                     haze: some[1].then_some(png),
                 }),
                 ClientMessage::Ack(Acknowledgement {
-                    sequence: FrameSequence(sequence), decode_us, present_us,
+                    sequence: FrameSequence(sequence), decode_us, received_us, present_us,
+                    motion_to_photon_us: decode_us,
                 }),
                 ClientMessage::KeyFrame,
             ];

@@ -1,6 +1,7 @@
 //! `/api/v1/cells`, `/viewers` and `/stats`: what the service does, in numbers.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use axum::Json;
 use axum::extract::State;
@@ -10,7 +11,7 @@ use skycell_protocol::{CellId, Codec, RendererKind, Show, ShowReport, Stereo, Vi
 
 use crate::frame_loop::interface::{CellStats, RenderStats};
 use crate::stream::StreamContext;
-use crate::viewers::Viewer;
+use crate::viewers::{LatencyReport, Viewer};
 
 /// A viewer as `/api/v1/viewers` shows it.
 #[derive(Debug, Serialize, JsonSchema)]
@@ -40,6 +41,10 @@ pub(super) struct ViewerReport {
     frame_age_p50_ms: Option<f64>,
     /// The same of 95 of 100 recent frames.
     frame_age_p95_ms: Option<f64>,
+    /// Times of the stages of recent frames' ways, as far as they are known.
+    latency: LatencyReport,
+    /// What its link is found to take; null as long as it was never too slow.
+    target_kbit_per_s: Option<u32>,
     /// What the client told last; null if it did not.
     decode_us: Option<u32>,
     frames_sent: u64,
@@ -55,6 +60,8 @@ pub(super) struct ViewerReport {
 #[derive(Debug, Serialize, JsonSchema)]
 struct ServiceStats {
     viewers: usize,
+    /// Frames encoded since the start.
+    frames_encoded: u64,
     version: &'static str,
     /// Of the store; the renderer's `scene_revision` follows it.
     scene_revision: u64,
@@ -72,6 +79,8 @@ pub(super) struct StatsReport {
     /// Jittered samples that a texel averages before it has converged: the most of any cell.
     samples: u32,
     service: ServiceStats,
+    /// Times of the stages of the latest frames of all viewers.
+    latency: LatencyReport,
 }
 
 pub(super) async fn cells(State(context): State<Arc<StreamContext>>) -> Json<Vec<CellStats>> {
@@ -99,6 +108,7 @@ pub(super) async fn stats(State(context): State<Arc<StreamContext>>) -> Json<Sta
         render,
         service: ServiceStats {
             viewers: context.viewers.count(),
+            frames_encoded: context.metrics.frames_encoded.load(Ordering::Relaxed),
             version: env!("CARGO_PKG_VERSION"),
             scene_revision: context.scene.snapshot().revision,
             cpu_s: cpu_time::ProcessTime::try_now()
@@ -106,6 +116,7 @@ pub(super) async fn stats(State(context): State<Arc<StreamContext>>) -> Json<Sta
                 .map(|time| time.as_duration().as_secs_f64()),
             memory_bytes: resident_bytes(),
         },
+        latency: context.metrics.latency_report(),
     })
 }
 
@@ -127,6 +138,7 @@ pub(super) async fn views() -> Json<Vec<ShowReport>> {
 fn report_of(viewer: &Viewer, stats: &RenderStats) -> ViewerReport {
     let view = viewer.view();
     let rendered = stats.viewers.iter().find(|known| known.id == viewer.id());
+    let target_kbit_per_s = viewer.rate().target_kbit_per_s();
     let figures = viewer.figures();
     let age = figures.frame_age();
     ViewerReport {
@@ -145,6 +157,8 @@ fn report_of(viewer: &Viewer, stats: &RenderStats) -> ViewerReport {
         mbit_per_s: figures.mbit_per_s,
         frame_age_p50_ms: age.map(|age| age.p50_ms),
         frame_age_p95_ms: age.map(|age| age.p95_ms),
+        latency: figures.latencies.report(),
+        target_kbit_per_s,
         decode_us: figures.decode_us,
         frames_sent: figures.frames_sent,
         frames_dropped: figures.frames_dropped,

@@ -14,8 +14,10 @@ pub mod video;
 #[cfg(test)]
 mod video_tests;
 
+use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use skycell_protocol::{Codec, FrameHeader, FrameStages};
@@ -29,6 +31,8 @@ use crate::metrics::Metrics;
 use crate::viewers::{EncodedFrame, Viewer, ViewerRegistry};
 use skycell_protocol::frame::FRAME_HEADER_BYTES;
 
+/// Viewers whose frames wait for an encoder, in the order in which they are served.
+type Turns = Arc<Mutex<VecDeque<Arc<Viewer>>>>;
 /// The exact picture of a view that rests may keep a line busy for this long that carries no more than the video's rate:
 /// whoever turns meanwhile waits for it. It has about a second's worth of the full rate.
 const EXACT_MAX_S: f64 = 2.0;
@@ -37,6 +41,7 @@ const EXACT_MAX_S: f64 = 2.0;
 pub struct EncoderPool {
     viewers: Arc<ViewerRegistry>,
     metrics: Arc<Metrics>,
+    turns: Turns,
     threads: rayon::ThreadPool,
 }
 
@@ -57,6 +62,7 @@ impl EncoderPool {
         Ok(Arc::new(Self {
             viewers,
             metrics,
+            turns: Turns::default(),
             threads,
         }))
     }
@@ -69,9 +75,9 @@ impl EncoderPool {
     }
 
     fn start(&self, viewer: Arc<Viewer>) {
-        let metrics = Arc::clone(&self.metrics);
-        self.threads
-            .spawn_fifo(move || encode_waiting(viewer, metrics));
+        queue(&self.turns, viewer);
+        let (turns, metrics) = (Arc::clone(&self.turns), Arc::clone(&self.metrics));
+        self.threads.spawn_fifo(move || serve_next(turns, metrics));
     }
 }
 
@@ -90,13 +96,30 @@ impl FrameSink for EncoderPool {
     }
 }
 
-/// Encodes the frame that waits for the viewer, then queues behind the other viewers for the next.
-fn encode_waiting(viewer: Arc<Viewer>, metrics: Arc<Metrics>) {
+/// Puts a viewer behind all others. Its place in the queue is its job, of which it has one at most, so the queue is no
+/// longer than there are viewers.
+fn queue(turns: &Turns, viewer: Arc<Viewer>) {
+    turns
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .push_back(viewer);
+}
+
+/// Encodes the frame of the viewer whose turn it is, who then queues behind all others. Turns are kept here and not by
+/// the pool's threads: each of those would take its own viewers first.
+fn serve_next(turns: Turns, metrics: Arc<Metrics>) {
+    let next = turns
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .pop_front();
+    let Some(viewer) = next else {
+        return;
+    };
     let Some(frame) = viewer.take_for_encoding() else {
         return;
     };
     // A panic in a codec must not end the pool, and the viewer must hear of it.
-    let result = catch_unwind(AssertUnwindSafe(|| encode(&viewer, frame, &metrics)));
+    let result = catch_unwind(AssertUnwindSafe(|| encode(frame, &viewer, &metrics)));
     match result {
         Ok(Ok(encoded)) => {
             if viewer.outbox().put(encoded).is_some() {
@@ -112,12 +135,23 @@ fn encode_waiting(viewer: Arc<Viewer>, metrics: Arc<Metrics>) {
             viewer.fail();
         }
     }
-    rayon::spawn_fifo(move || encode_waiting(viewer, metrics));
+    queue(&turns, viewer);
+    rayon::spawn_fifo(move || serve_next(turns, metrics));
 }
 
 fn count_drop(viewer: &Viewer, metrics: &Metrics) {
     viewer.figures().frames_dropped += 1;
     metrics.frames_dropped.increment(1);
+}
+
+/// Quality of a JPEG of that frame.
+fn jpeg_quality(frame: &FinishedFrame, viewer: &Viewer) -> u8 {
+    if frame.refines {
+        // The link has been quiet: it may take its time.
+        frame.jpeg_quality
+    } else {
+        viewer.rate().jpeg_quality(frame.jpeg_quality)
+    }
 }
 
 /// What was made of a frame.
@@ -129,31 +163,39 @@ struct Made {
 }
 
 fn encode(
-    viewer: &Viewer,
     frame: FinishedFrame,
+    viewer: &Viewer,
     metrics: &Metrics,
 ) -> Result<EncodedFrame, EncodeError> {
     let started = Instant::now();
     let waited = started.saturating_duration_since(frame.read_back);
     metrics.encode_wait_s.record(waited);
+    let quality = jpeg_quality(&frame, viewer);
+    let is_reduced = frame.codec == Codec::Jpeg && quality < frame.jpeg_quality;
     let mut message = vec![0; FRAME_HEADER_BYTES];
     let made = if frame.codec.is_stream() {
         encode_stream(viewer, &frame, started, &mut message)?
     } else {
         viewer.stream().end();
+        let pixels = frame.pixels.rgba();
         match &frame.clouds {
-            Some(header) => encode_clouds_after(&mut message, frame.pixels.rgba(), header)?,
-            None => encode_picture(&frame, frame.codec, &mut message)?,
+            Some(header) => encode_clouds_after(&mut message, pixels, header)?,
+            None => encode_after(&mut message, pixels, frame.size, frame.codec, quality)?,
+        }
+        let mut rate = viewer.rate();
+        if frame.codec == Codec::Jpeg && !frame.refines {
+            rate.jpeg_encoded(message.len(), viewer.view().fps, viewer.clock_us());
         }
         Made {
             codec: frame.codec,
             is_key: true,
-            is_exact: frame.exact,
-            target_kbit_per_s: 0,
+            is_exact: frame.exact && !is_reduced,
+            target_kbit_per_s: rate.target_kbit_per_s().unwrap_or(0),
         }
     };
     let encoded = Instant::now();
     let encode_time = encoded.saturating_duration_since(started);
+    metrics.frames_encoded.fetch_add(1, Ordering::Relaxed);
     match made.codec {
         Codec::Jpeg => metrics.encode_jpeg_s.record(encode_time),
         Codec::Png => metrics.encode_png_s.record(encode_time),
@@ -185,7 +227,7 @@ fn encode(
             .map_err(|_| EncodeError::TooLong(message.len()))?,
         target_kbit_per_s: made.target_kbit_per_s,
     };
-    Ok(EncodedFrame::new(header, message, encoded))
+    Ok(EncodedFrame::new(header, message, encoded, is_reduced))
 }
 
 fn encode_picture(
@@ -205,7 +247,11 @@ fn encode_stream(
     now: Instant,
     message: &mut Vec<u8>,
 ) -> Result<Made, EncodeError> {
-    let target_kbit_per_s = viewer.target_kbit_per_s();
+    // What its size asks for, or less where the line takes less.
+    let link_kbit_per_s = viewer.rate().target_kbit_per_s();
+    let target_kbit_per_s = link_kbit_per_s.map_or(viewer.target_kbit_per_s(), |link| {
+        link.min(viewer.target_kbit_per_s())
+    });
     let is_last = frame.refinement == Refinement::Last;
     if is_last {
         encode_picture(frame, Codec::Png, message)?;

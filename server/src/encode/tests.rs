@@ -9,10 +9,15 @@ use skycell_protocol::{
 use super::*;
 use crate::clock::unix_now_us;
 use crate::frame_loop::interface::{FramePixels, ViewRequest};
-use crate::viewers::ViewerMembership;
+use crate::viewers::{Delivery, ViewerMembership};
+
+/// Whose frames were encoded, in that order.
+type Order = Arc<Mutex<Vec<(ViewerId, u32)>>>;
 
 /// Pixels that count how many of them live, as the ring of buffers would.
 struct CountedPixels {
+    frame: (ViewerId, u32),
+    encoded: Order,
     rgba: Vec<u8>,
     alive: Arc<AtomicUsize>,
     /// An encoder that asks for the pixels waits here.
@@ -24,6 +29,7 @@ impl FramePixels for CountedPixels {
         if let Some(gate) = &self.gate {
             let _ = gate.lock().expect("not poisoned").recv();
         }
+        self.encoded.lock().expect("not poisoned").push(self.frame);
         &self.rgba
     }
 }
@@ -38,6 +44,7 @@ struct Bench {
     pool: Arc<EncoderPool>,
     registry: Arc<ViewerRegistry>,
     alive: Arc<AtomicUsize>,
+    encoded: Order,
 }
 
 fn bench() -> Bench {
@@ -47,6 +54,7 @@ fn bench() -> Bench {
         pool: EncoderPool::new(1, Arc::clone(&registry), metrics).expect("a thread"),
         registry,
         alive: Arc::default(),
+        encoded: Arc::default(),
     }
 }
 
@@ -56,10 +64,14 @@ fn size() -> FrameSize {
 
 impl Bench {
     fn join(&self) -> ViewerMembership {
+        self.join_for(Codec::Png)
+    }
+
+    fn join_for(&self, codec: Codec) -> ViewerMembership {
         let view = ViewRequest {
             size: size(),
             fps: 30.0,
-            codec: Codec::Png,
+            codec,
             jpeg_quality: 85,
             camera: Camera::default(),
             renderer: RendererKind::Cached,
@@ -78,6 +90,18 @@ impl Bench {
         bytes: usize,
         gate: Option<&Arc<Mutex<mpsc::Receiver<()>>>>,
     ) {
+        let rgba = vec![200; bytes];
+        self.deliver_pixels(viewer, sequence, rgba, gate, false);
+    }
+
+    fn deliver_pixels(
+        &self,
+        viewer: ViewerId,
+        sequence: u32,
+        rgba: Vec<u8>,
+        gate: Option<&Arc<Mutex<mpsc::Receiver<()>>>>,
+        refines: bool,
+    ) {
         self.alive.fetch_add(1, Ordering::SeqCst);
         self.pool.deliver(FinishedFrame {
             viewer,
@@ -87,11 +111,15 @@ impl Bench {
             cell: CellId(7),
             size: size(),
             stereo: false,
-            codec: Codec::Png,
+            codec: self
+                .registry
+                .get(viewer)
+                .map_or(Codec::Png, |viewer| viewer.view().codec),
             jpeg_quality: 85,
             clouds: None,
             coarse: true,
-            exact: false,
+            exact: true,
+            refines,
             refinement: Refinement::None,
             stages: FrameStages {
                 input_to_render_us: 100,
@@ -103,7 +131,9 @@ impl Bench {
             submitted_unix_us: unix_now_us(),
             read_back: Instant::now(),
             pixels: Box::new(CountedPixels {
-                rgba: vec![200; bytes],
+                frame: (viewer, sequence),
+                encoded: Arc::clone(&self.encoded),
+                rgba,
                 alive: Arc::clone(&self.alive),
                 gate: gate.cloned(),
             }),
@@ -230,4 +260,82 @@ fn a_frame_for_a_viewer_that_has_left_is_let_go() {
     bench.deliver(id, 1, FRAME_BYTES, None);
     assert_eq!(bench.alive.load(Ordering::SeqCst), 0);
     assert!(shared.outbox().take().is_none());
+}
+
+#[tokio::test]
+async fn a_viewer_whose_frames_never_end_takes_turns_with_all_others() {
+    let bench = bench();
+    let heavy = bench.join();
+    let others: Vec<_> = (0..5).map(|_| bench.join()).collect();
+    let (open, gate) = mpsc::channel();
+    let gate = Arc::new(Mutex::new(gate));
+    // While the first frame of the heavy one is in the only encoder, its next one waits already, and so do the others'.
+    bench.deliver(heavy.id(), 1, FRAME_BYTES, Some(&gate));
+    while heavy.has_waiting_frame() {
+        tokio::task::yield_now().await;
+    }
+    bench.deliver(heavy.id(), 2, FRAME_BYTES, Some(&gate));
+    for other in &others {
+        bench.deliver(other.id(), 1, FRAME_BYTES, None);
+    }
+    drop(open);
+    for viewer in others.iter().chain([&heavy]) {
+        while viewer.outbox().next().await.sequence() < FrameSequence(1) {}
+    }
+    while bench.alive.load(Ordering::SeqCst) > 0 {
+        tokio::task::yield_now().await;
+    }
+    let encoded = bench.encoded.lock().expect("not poisoned").clone();
+    let mut expected = vec![(heavy.id(), 1)];
+    expected.extend(others.iter().map(|other| (other.id(), 1)));
+    expected.push((heavy.id(), 2));
+    assert_eq!(encoded, expected, "who was encoded, in that order");
+}
+
+/// A picture whose JPEG has some length.
+fn noise() -> Vec<u8> {
+    (0..FRAME_BYTES as u32)
+        .map(|index| (index.wrapping_mul(2_654_435_761) >> 24) as u8)
+        .collect()
+}
+
+#[tokio::test]
+async fn a_slow_link_gets_shorter_pictures_and_a_whole_one_when_it_rests() {
+    let bench = bench();
+    let viewer = bench.join_for(Codec::Jpeg);
+    let encode = async |sequence, refines| {
+        bench.deliver_pixels(viewer.id(), sequence, noise(), None, refines);
+        let frame = viewer.outbox().next().await;
+        let is_reduced = frame.is_reduced();
+        let (header, message) = frame.into_message(Instant::now());
+        (header, is_reduced, message.len())
+    };
+    let (header, is_reduced, whole) = encode(1, false).await;
+    assert!(header.exact && !is_reduced);
+    assert_eq!(header.target_kbit_per_s, 0);
+    // Each frame takes the link for a second.
+    for second in 1..=8 {
+        let delivery = Delivery {
+            bytes: whole as u64,
+            sent_us: second * 1_000_000,
+            acknowledged_us: (second + 1) * 1_000_000,
+            held_us: 0,
+        };
+        let mut rate = viewer.rate();
+        rate.round_trip(1_000);
+        rate.delivered(delivery, 30.0);
+    }
+    let mut last = whole;
+    for sequence in 2..10 {
+        let (header, _, bytes) = encode(sequence, false).await;
+        assert!(header.target_kbit_per_s > 0);
+        assert!(bytes <= last, "{bytes} after {last}");
+        last = bytes;
+    }
+    assert!(last < whole);
+    let (header, is_reduced, _) = encode(10, false).await;
+    assert!(is_reduced && !header.exact, "less than wished is not exact");
+    let (header, is_reduced, bytes) = encode(11, true).await;
+    assert!(header.exact && !is_reduced);
+    assert_eq!(bytes, whole);
 }

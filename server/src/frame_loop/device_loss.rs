@@ -296,6 +296,7 @@ impl Remains {
                 viewer,
                 input,
                 camera,
+                ..
             } => {
                 if let Some(waiting) = self.viewers.get_mut(&viewer) {
                     waiting.view.camera = camera;
@@ -315,6 +316,7 @@ impl Remains {
             }
             // Frames under way are gone; a device that is not there cannot be lost; the end was heard before.
             RenderCommand::Acknowledge { .. }
+            | RenderCommand::Refine { .. }
             | RenderCommand::LoseDevice
             | RenderCommand::Shutdown => {}
         }

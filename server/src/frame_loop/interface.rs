@@ -101,6 +101,8 @@ pub enum RenderCommand {
         input: InputSequence,
         /// Where it stands and looks now.
         camera: Camera,
+        /// When the input came.
+        arrived: Instant,
     },
     /// A viewer has changed its wishes. The camera in `view` is the last one that was sent.
     SetView {
@@ -115,6 +117,14 @@ pub enum RenderCommand {
         viewer: ViewerId,
         /// The frame.
         sequence: FrameSequence,
+        /// How many frames may be under way from now on; no more than [`FRAMES_IN_FLIGHT_MAX`] count.
+        frames_in_flight_max: u32,
+    },
+    /// A viewer's link has been quiet since a frame that was less good than the viewer wishes. It gets the picture again,
+    /// unless something else is to be seen by then.
+    Refine {
+        /// Who.
+        viewer: ViewerId,
     },
     /// A viewer is gone. No frame needs to be delivered for it any more.
     Leave {
@@ -181,6 +191,8 @@ pub struct FinishedFrame {
     pub coarse: bool,
     /// Nothing finer comes while the view rests.
     pub exact: bool,
+    /// It shows what the one before showed, which was less good than the viewer wishes.
+    pub refines: bool,
     /// Whether it shows the same as the one before.
     pub refinement: Refinement,
     /// How long it took until `read_back`; what comes later is still 0.

@@ -2,8 +2,8 @@
 
 use super::device_loss::{self, LoopPlan};
 use super::interface::{
-    DeviceLossStats, FRAMES_IN_FLIGHT_MAX, FrameLoopHandle, FrameSink, Refinement, RenderCommand,
-    RenderStats, StatsCell, ViewRequest, render_command_channel,
+    DeviceLossStats, FrameLoopHandle, FrameSink, Refinement, RenderCommand, RenderStats, StatsCell,
+    ViewRequest, render_command_channel,
 };
 use super::refining::Refining;
 use super::renderer::SkyRenderer;
@@ -71,8 +71,6 @@ struct Pace {
     moved: Instant,
     composited: Option<Instant>,
     change: Change,
-    /// A frame is due and waits for tiles.
-    is_held: bool,
     /// How far a video has come to the picture that it shows.
     refining: Refining,
 }
@@ -98,6 +96,30 @@ pub struct FrameLoop {
     blended: Instant,
     /// Device time that may be marched before frames come first again, s. Negative after a batch that was longer.
     march_credit_s: f64,
+}
+
+/// Pixels of pictures that are composited in one submission, unless one has more: those of four viewers at 640x360.
+const SUBMISSION_PIXELS: u32 = 4 * 640 * 360;
+
+/// Viewers in the order in which their pictures are composited, in groups that are submitted together.
+fn submissions(due: &[ViewerId], pixels: impl Fn(&ViewerId) -> u32) -> Vec<Vec<ViewerId>> {
+    let mut due: Vec<(u32, ViewerId)> = due.iter().map(|id| (pixels(id), *id)).collect();
+    due.sort_unstable();
+    let mut groups: Vec<Vec<ViewerId>> = Vec::new();
+    let mut room = 0;
+    for (pixels, id) in due {
+        match groups.last_mut() {
+            Some(group) if pixels <= room => {
+                group.push(id);
+                room -= pixels;
+            }
+            _ => {
+                groups.push(vec![id]);
+                room = SUBMISSION_PIXELS.saturating_sub(pixels);
+            }
+        }
+    }
+    groups
 }
 
 /// What became of the marching in a turn.
@@ -208,23 +230,28 @@ impl FrameLoop {
                 viewer,
                 input,
                 camera,
+                arrived,
             } => {
                 self.renderer.set_camera(viewer, input, camera);
+                if let Some(viewer) = self.renderer.viewers.get_mut(&viewer) {
+                    viewer.input_arrived = Some(arrived);
+                }
                 self.moved(viewer, now);
             }
             RenderCommand::SetView { viewer, view } => {
                 self.renderer.set_view(viewer, view);
                 self.moved(viewer, now);
             }
-            RenderCommand::Acknowledge { viewer, sequence } => {
+            RenderCommand::Acknowledge {
+                viewer,
+                sequence,
+                frames_in_flight_max,
+            } => {
                 if let Some(viewer) = self.renderer.viewers.get_mut(&viewer) {
-                    // Cumulative, and never for a frame that was not made.
-                    let ahead = viewer.sequence.wrapping_sub(sequence.0);
-                    if ahead < viewer.frames_in_flight() {
-                        viewer.acknowledged = sequence.0;
-                    }
+                    viewer.acknowledge(sequence, frames_in_flight_max);
                 }
             }
+            RenderCommand::Refine { viewer } => self.refine(viewer, now),
             RenderCommand::Leave { viewer } => {
                 self.renderer.leave(viewer);
                 self.paces.remove(&viewer);
@@ -251,7 +278,6 @@ impl FrameLoop {
             moved: now,
             composited: None,
             change: Change::Seen,
-            is_held: false,
             refining: Refining::default(),
         };
         self.paces.insert(viewer, pace);
@@ -261,6 +287,46 @@ impl FrameLoop {
         if let Some(pace) = self.paces.get_mut(&viewer) {
             pace.moved = now;
             pace.change = Change::Seen;
+        }
+        if let Some(viewer) = self.renderer.viewers.get_mut(&viewer) {
+            viewer.refines = false;
+        }
+    }
+
+    /// A viewer gets its last picture once more, unless another is due.
+    fn refine(&mut self, id: ViewerId, now: Instant) {
+        let is_marching = self.renderer.screen_space_pending(id);
+        let (Some(pace), Some(viewer)) =
+            (self.paces.get_mut(&id), self.renderer.viewers.get_mut(&id))
+        else {
+            return;
+        };
+        // What is on its way anyway may be refined in its turn.
+        if pace.change != Change::None || is_marching {
+            return;
+        }
+        viewer.refines = true;
+        match viewer.kind {
+            RendererKind::Cached => pace.change = Change::Seen,
+            // What is marched is still there.
+            RendererKind::ScreenSpace if viewer.has_room() => {
+                self.composite(&[id], now);
+            }
+            RendererKind::ScreenSpace => {}
+        }
+    }
+
+    /// Composites frames of viewers, small pictures before large ones, and not in one submission with those: what is
+    /// submitted together comes back together.
+    fn composite(&mut self, due: &[ViewerId], now: Instant) {
+        let pixels = |id: &ViewerId| {
+            let viewer = self.renderer.viewers.get(id);
+            viewer.map_or(0, |viewer| viewer.view.picture_size().pixels())
+        };
+        for group in submissions(due, pixels) {
+            for viewer in self.renderer.composite(&group, &self.sink) {
+                self.composited(viewer, now);
+            }
         }
     }
 
@@ -330,12 +396,8 @@ impl FrameLoop {
         }
         self.note_held(now);
         let due = self.due_viewers(now);
-        if !due.is_empty() {
-            for viewer in self.renderer.composite(&due, &self.sink) {
-                self.composited(viewer, now);
-            }
-        }
-        self.refine(now);
+        self.composite(&due, now);
+        self.refine_videos(now);
         self.audit(now);
         let marched = self.march(now);
         self.publish(now, false);
@@ -479,15 +541,15 @@ impl FrameLoop {
                 viewer.kind == RendererKind::Cached && self.renderer.waits_for_tiles(viewer)
             };
             if is_due
-                && !pace.is_held
                 && let Some(viewer) = viewer.filter(waits)
+                && viewer.waits_since.is_none()
             {
                 held.push((*id, viewer.frames_composited == 0));
             }
         }
         for (id, is_first) in held {
-            if let Some(pace) = self.paces.get_mut(&id) {
-                pace.is_held = true;
+            if let Some(viewer) = self.renderer.viewers.get_mut(&id) {
+                viewer.waits_since = Some(now);
             }
             let counters = &mut self.renderer.counters;
             counters.first_frames_held += u64::from(is_first);
@@ -538,7 +600,6 @@ impl FrameLoop {
             };
             pace.composited = Some(now);
             pace.refining.made(Refinement::None);
-            pace.is_held = false;
             // Two cells that are mixed are another picture in every frame.
             pace.change = if viewer.fades() {
                 Change::Seen
@@ -567,7 +628,7 @@ impl FrameLoop {
     }
 
     /// Makes the pictures that let videos come closer to what they show.
-    fn refine(&mut self, now: Instant) {
+    fn refine_videos(&mut self, now: Instant) {
         for (id, due, refinement) in self.refinements() {
             if due > now {
                 continue;
@@ -729,6 +790,9 @@ impl FrameLoop {
                 }
             }
             if room && self.renderer.screen_space_pending(id) {
+                if let Some(viewer) = self.renderer.viewers.get_mut(&id) {
+                    viewer.waits_since.get_or_insert_with(Instant::now);
+                }
                 if self
                     .renderer
                     .march_screen_space(id, budget.as_nanos() as u64)
@@ -760,7 +824,7 @@ impl FrameLoop {
 
     /// Whether a viewer can be sent another frame.
     fn has_room(&self, viewer: &ActiveViewer) -> bool {
-        viewer.frames_in_flight() < FRAMES_IN_FLIGHT_MAX && !self.renderer.waits_for_clouds(viewer)
+        viewer.has_room() && !self.renderer.waits_for_clouds(viewer)
     }
 
     /// When the next frame is due of those whose viewers have room for one.
@@ -821,5 +885,25 @@ impl FrameLoop {
             || published.totals.gpu_cache_ns != self.renderer.gpu_time(TimedPass::Cache).0
             || published.audit.rests == self.renderer.audit.is_pending()
             || published.audit.texels != self.renderer.audit.stats(Instant::now()).texels
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn small_pictures_come_back_before_a_large_one_and_without_waiting_for_it() {
+        let sizes = [1920 * 1080, 64 * 36, 640 * 360, 640 * 360, 3840 * 2160];
+        let due: Vec<ViewerId> = (0..5).map(ViewerId).collect();
+        let groups = submissions(&due, |id| sizes[id.0 as usize]);
+        let of = |ids: &[u32]| ids.iter().copied().map(ViewerId).collect::<Vec<_>>();
+        assert_eq!(groups, [of(&[1, 2, 3]), of(&[0]), of(&[4])]);
+        assert!(submissions(&[], |_| 1).is_empty());
+        // As many equal ones as fit go together, and nobody is left out.
+        let crowd: Vec<ViewerId> = (0..200).map(ViewerId).collect();
+        let groups = submissions(&crowd, |_| 320 * 180);
+        assert!(groups.iter().all(|group| group.len() <= 16));
+        assert_eq!(groups.concat(), crowd);
     }
 }

@@ -20,7 +20,7 @@ use skycell_shaders::{Features, Shown, layout};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Radius of the ground, where there is one and no cloud can stand in front of it.
 pub(super) fn ground_radius_m(
@@ -181,10 +181,12 @@ impl SkyRenderer {
                 .flatten();
             viewer.view.camera = marched_from.unwrap_or(asked);
             let shown = viewer.view.camera;
+            let first_pass = self.timing.recorded();
             if let Some(buffer) = viewer.ring.take(&self.gpu)
                 && let Some(pre_exposure) = self.record_frame(&mut encoder, &viewer, &buffer)
             {
-                under_way.push((*id, buffer, pre_exposure, shown));
+                let device_time = self.timing.watch_since(first_pass);
+                under_way.push((*id, buffer, pre_exposure, shown, device_time));
             }
             viewer.view.camera = asked;
             self.viewers.insert(*id, viewer);
@@ -199,7 +201,7 @@ impl SkyRenderer {
         let mut pending_cells = BTreeMap::new();
         let mut shown_cells = Vec::new();
         let mut done = Vec::new();
-        for (id, buffer, pre_exposure, camera) in under_way {
+        for (id, buffer, pre_exposure, camera, device_time) in under_way {
             let shown = self.viewers.get(&id);
             let coarse = shown.is_some_and(|v| self.shows_coarse(v));
             let exact = !coarse && shown.is_some_and(|v| self.is_exact(id, v, &mut pending_cells));
@@ -212,6 +214,8 @@ impl SkyRenderer {
             self.counters.frames_composited += 1;
             let refinement = viewer.refinement;
             let (view, input, cell) = (viewer.view, viewer.input, viewer.cell);
+            let refines = std::mem::take(&mut viewer.refines);
+            let waits = viewer.take_waits(submitted);
             let (sequence, scene_revision) = (FrameSequence(viewer.sequence), self.scene_revision);
             let (sink, read_back) = (sink.clone(), self.counters.frames_read_back.clone());
             viewer.ring.map(buffer, move |pixels| {
@@ -219,9 +223,12 @@ impl SkyRenderer {
                 let Some(pixels) = pixels else { return };
                 read_back.fetch_add(1, Ordering::Relaxed);
                 let now = Instant::now();
+                let until_read_back = now.saturating_duration_since(submitted);
+                let composite = Duration::from_nanos(device_time.ns()).min(until_read_back);
                 let stages = FrameStages {
-                    readback_us: saturating_us(now.saturating_duration_since(submitted)),
-                    ..FrameStages::default()
+                    composite_us: saturating_us(composite),
+                    readback_us: saturating_us(until_read_back - composite),
+                    ..waits
                 };
                 sink.deliver(FinishedFrame {
                     viewer: id,
@@ -242,6 +249,7 @@ impl SkyRenderer {
                     coarse,
                     exact,
                     refinement,
+                    refines,
                     stages,
                     submitted_unix_us,
                     read_back: now,

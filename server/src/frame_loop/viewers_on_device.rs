@@ -1,17 +1,20 @@
 //! Viewers on the device: who joins, moves, changes its wishes and leaves.
 
 use super::cells_on_device::parallax_steps;
-use super::interface::{Refinement, ViewRequest};
+use super::interface::{FRAMES_IN_FLIGHT_MAX, Refinement, ViewRequest};
 use super::qualities::ViewerQuality;
 use super::renderer::SkyRenderer;
 use super::renderer_fade::RendererFade;
 use super::screen_space::ScreenSpaceJob;
 use super::transitions::Transition;
 use crate::cache::{LEVELS, TEXELS_PER_TILE, TileRequest};
+use crate::clock::saturating_us;
 use crate::composite::{Picture, PictureFormat, dither_shift, view_frustum, view_uniform};
 use crate::gpu::{Gpu, Pipelines, ReadbackRing};
 use crate::march::{REACH_FADE_M, REACH_M, Side};
-use skycell_protocol::{Camera, CellId, Codec, InputSequence, RendererKind, ViewerId};
+use skycell_protocol::{
+    Camera, CellId, Codec, FrameSequence, FrameStages, InputSequence, RendererKind, ViewerId,
+};
 use skycell_shaders::layout;
 use std::time::{Duration, Instant};
 
@@ -44,9 +47,17 @@ pub(super) struct ActiveViewer {
     pub(super) screen_space: Option<ScreenSpaceJob>,
     pub(super) sequence: u32,
     pub(super) acknowledged: u32,
+    /// How many frames may be under way, as its link takes them.
+    pub(super) frames_in_flight_max: u32,
     pub(super) frames_composited: u64,
     /// What its next frame is.
     pub(super) refinement: Refinement,
+    /// When the last input came, until a frame shows it.
+    pub(super) input_arrived: Option<Instant>,
+    /// Since when its next frame waits for marching.
+    pub(super) waits_since: Option<Instant>,
+    /// Its next frame is to be the same picture once more, as good as it wishes.
+    pub(super) refines: bool,
 }
 
 impl ActiveViewer {
@@ -87,6 +98,35 @@ impl ActiveViewer {
     /// Frames composited and not acknowledged.
     pub(super) fn frames_in_flight(&self) -> u32 {
         self.sequence.wrapping_sub(self.acknowledged)
+    }
+
+    /// Whether another frame may be composited before one is acknowledged.
+    pub(super) fn has_room(&self) -> bool {
+        self.frames_in_flight() < self.frames_in_flight_max
+    }
+
+    /// Acknowledges a frame and every earlier one, if it was made and is not acknowledged yet.
+    pub(super) fn acknowledge(&mut self, sequence: FrameSequence, frames_in_flight_max: u32) {
+        if self.sequence.wrapping_sub(sequence.0) < self.frames_in_flight() {
+            self.acknowledged = sequence.0;
+        }
+        self.frames_in_flight_max = frames_in_flight_max.clamp(1, FRAMES_IN_FLIGHT_MAX);
+    }
+
+    /// How long its next frame has taken so far, when it is submitted: since the input that it is the first to show, and of
+    /// that waiting for marching.
+    pub(super) fn take_waits(&mut self, submitted: Instant) -> FrameStages {
+        let since = |start: Instant| saturating_us(submitted.saturating_duration_since(start));
+        let waits_since = self.waits_since.take();
+        let Some(arrived) = self.input_arrived.take() else {
+            return FrameStages::default();
+        };
+        FrameStages {
+            // 0 would say that there was no input.
+            input_to_render_us: since(arrived).max(1),
+            march_wait_us: waits_since.map_or(0, |start| since(start.max(arrived))),
+            ..FrameStages::default()
+        }
     }
 }
 
@@ -133,8 +173,12 @@ impl SkyRenderer {
             screen_space: None,
             sequence: 0,
             acknowledged: 0,
+            frames_in_flight_max: FRAMES_IN_FLIGHT_MAX,
             frames_composited: 0,
             refinement: Refinement::None,
+            input_arrived: Some(Instant::now()),
+            waits_since: None,
+            refines: false,
         };
         self.viewers.insert(id, viewer);
         self.prepare_views();

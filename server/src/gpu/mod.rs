@@ -16,4 +16,4 @@ pub(crate) use map_textures::blend_key;
 pub use map_textures::{BlendStep, MapsChange, PlacedSheet, PlacedWeather};
 pub use pipelines::{PipelineKey, Pipelines};
 pub use readback::{MappedPixels, ReadbackRing, read_buffer_blocking};
-pub use timing::{TimedPass, TimingRing, TimingSums};
+pub use timing::{DeviceTime, TimedPass, TimingRing, TimingSums};

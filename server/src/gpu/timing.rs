@@ -1,6 +1,7 @@
 //! GPU time of passes by timestamps, read back without waiting.
 
 use super::Gpu;
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
@@ -70,6 +71,19 @@ struct Slot {
     readable: wgpu::Buffer,
     busy: Arc<AtomicBool>,
     passes: Vec<(TimedPass, u64)>,
+    watched: Vec<(Range<usize>, DeviceTime)>,
+}
+
+/// Device time of some passes of a submission, known once the device has finished them.
+#[derive(Clone, Debug, Default)]
+pub struct DeviceTime(Arc<AtomicU64>);
+
+impl DeviceTime {
+    /// Nanoseconds; 0 as long as nothing is known, and for good where the device tells no times.
+    #[must_use]
+    pub fn ns(&self) -> u64 {
+        self.0.load(Ordering::Acquire)
+    }
 }
 
 /// Sums of GPU time, filled as submissions finish.
@@ -127,6 +141,7 @@ impl TimingRing {
                     readable: buffer(wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ),
                     busy: Arc::default(),
                     passes: Vec::new(),
+                    watched: Vec::new(),
                 })
                 .collect(),
             current: None,
@@ -178,6 +193,7 @@ impl TimingRing {
             .position(|slot| !slot.busy.load(Ordering::Acquire));
         if let Some(index) = self.current {
             self.slots[index].passes.clear();
+            self.slots[index].watched.clear();
         }
     }
 
@@ -202,6 +218,23 @@ impl TimingRing {
         })
     }
 
+    /// How many passes of the submission are timed so far.
+    #[must_use]
+    pub fn recorded(&self) -> usize {
+        let slot = self.current.and_then(|index| self.slots.get(index));
+        slot.map_or(0, |slot| slot.passes.len())
+    }
+
+    /// The time of all passes since [`Self::recorded`] was `first`. Known before any buffer is mapped that was asked for
+    /// after [`Self::submitted`].
+    pub fn watch_since(&mut self, first: usize) -> DeviceTime {
+        let time = DeviceTime::default();
+        if let Some(slot) = self.current.and_then(|index| self.slots.get_mut(index)) {
+            slot.watched.push((first..slot.passes.len(), time.clone()));
+        }
+        time
+    }
+
     /// Ends the recording: call before the encoder is finished.
     pub fn resolve(&mut self, encoder: &mut wgpu::CommandEncoder) {
         let Some(slot) = self.current.map(|index| &self.slots[index]) else {
@@ -221,7 +254,8 @@ impl TimingRing {
         let Some(index) = self.current.take() else {
             return;
         };
-        let slot = &self.slots[index];
+        let slot = &mut self.slots[index];
+        let watched = std::mem::take(&mut slot.watched);
         slot.busy.store(true, Ordering::Release);
         let (busy, sums, period_ns) = (slot.busy.clone(), self.sums.clone(), self.period_ns);
         let (buffer, passes) = (slot.readable.clone(), slot.passes.clone());
@@ -233,11 +267,18 @@ impl TimingRing {
                             .chunks_exact(8)
                             .map(|b| u64::from_le_bytes(std::array::from_fn(|i| b[i])))
                             .collect();
-                        for ((pass, units), pair) in passes.iter().zip(ticks.chunks_exact(2)) {
-                            let ns = pair[1].saturating_sub(pair[0]) as f64 * period_ns;
+                        let times_ns: Vec<u64> = ticks
+                            .chunks_exact(2)
+                            .map(|pair| (pair[1].saturating_sub(pair[0]) as f64 * period_ns) as u64)
+                            .collect();
+                        for ((pass, units), ns) in passes.iter().zip(&times_ns) {
                             let sum = sums.of(*pass);
-                            sum.ns.fetch_add(ns as u64, Ordering::Relaxed);
+                            sum.ns.fetch_add(*ns, Ordering::Relaxed);
                             sum.units.fetch_add(*units, Ordering::Relaxed);
+                        }
+                        for (range, time) in watched {
+                            let ns = times_ns.get(range).map_or(0, |times| times.iter().sum());
+                            time.0.store(ns, Ordering::Release);
                         }
                     }
                     buffer.unmap();

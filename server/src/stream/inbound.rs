@@ -15,7 +15,9 @@ use super::end::End;
 use super::pace::{Due, InputPace};
 use crate::access::Refusal;
 use crate::clock::unix_now_us;
-use crate::frame_loop::interface::{FrameLoopGone, RenderCommand, ViewRequest};
+use crate::frame_loop::interface::{
+    FRAMES_IN_FLIGHT_MAX, FrameLoopGone, RenderCommand, ViewRequest,
+};
 use crate::viewers::Viewer;
 
 /// Reads what the viewer says until the session ends.
@@ -81,7 +83,11 @@ impl Inbound<'_> {
             },
             Message::Binary(_) => Err(End::binary()),
             Message::Close(_) => Err(End::PeerGone),
-            Message::Ping(_) | Message::Pong(_) => Ok(()),
+            Message::Ping(_) => Ok(()),
+            Message::Pong(payload) => {
+                self.pong(&payload);
+                Ok(())
+            }
         }
     }
 
@@ -90,7 +96,7 @@ impl Inbound<'_> {
             ClientMessage::Hello(_) => Err(End::hello_expected("the hello was already said")),
             ClientMessage::Camera(input) => {
                 self.viewer.change_view(|view| view.camera = input.camera);
-                self.pace.camera(input);
+                self.pace.camera(input, Instant::now());
                 Ok(())
             }
             ClientMessage::View(change) => {
@@ -150,7 +156,7 @@ impl Inbound<'_> {
 
     fn acknowledge(&mut self, acknowledgement: Acknowledgement) -> Result<(), End> {
         let sequence = acknowledgement.sequence;
-        let (age_us, is_new) = {
+        let told = {
             let mut figures = self.viewer.figures();
             let last_sent = figures.last_sent();
             if sequence > last_sent {
@@ -162,22 +168,33 @@ impl Inbound<'_> {
                 });
                 return Ok(());
             }
-            figures.decode_us = acknowledgement.decode_us.or(figures.decode_us);
-            figures.acknowledged(sequence, unix_now_us())
+            figures.acknowledged(&acknowledgement, self.viewer.clock_us(), unix_now_us())
         };
-        if let Some(age_us) = age_us {
-            self.context
-                .metrics
-                .frame_age_s
-                .record(age_us as f64 * 1.0e-6);
+        self.context.metrics.acknowledged(&told);
+        if !told.is_new {
+            return Ok(());
         }
-        if is_new {
-            self.send(RenderCommand::Acknowledge {
-                viewer: self.viewer.id(),
-                sequence,
-            })?;
+        let frames_in_flight_max = {
+            let mut rate = self.viewer.rate();
+            if let Some(delivery) = told.delivery {
+                rate.delivered(delivery, self.viewer.view().fps);
+            }
+            rate.frames_in_flight_max(FRAMES_IN_FLIGHT_MAX)
+        };
+        self.send(RenderCommand::Acknowledge {
+            viewer: self.viewer.id(),
+            sequence,
+            frames_in_flight_max,
+        })
+    }
+
+    /// A ping of the writer's comes back: that is how long the way there and back takes.
+    fn pong(&self, payload: &[u8]) {
+        if let Some(sent_us) = payload.first_chunk().copied().map(u64::from_le_bytes)
+            && let Some(round_trip_us) = self.viewer.clock_us().checked_sub(sent_us)
+        {
+            self.viewer.rate().round_trip(round_trip_us);
         }
-        Ok(())
     }
 
     fn send_due(&mut self) -> Result<(), End> {
@@ -187,11 +204,12 @@ impl Inbound<'_> {
             let view = self.viewer.view();
             self.send(RenderCommand::SetView { viewer, view })?;
         }
-        if let Some(input) = camera {
+        if let Some((input, arrived)) = camera {
             self.send(RenderCommand::SetCamera {
                 viewer,
                 input: input.input,
                 camera: input.camera,
+                arrived: arrived.into_std(),
             })?;
         }
         Ok(())

@@ -15,14 +15,17 @@ use tokio::time::{Instant, MissedTickBehavior, interval_at};
 
 use super::StreamContext;
 use super::end::End;
+use super::inbound::renderer_gone;
 use crate::clock::unix_now_us;
-use crate::frame_loop::interface::RenderStats;
-use crate::viewers::{EncodedFrame, Viewer};
+use crate::frame_loop::interface::{RenderCommand, RenderStats};
+use crate::viewers::{EncodedFrame, SentFrame, Stage, Viewer};
 
 /// After this long without a frame, a heartbeat is sent.
 const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
 /// How often a viewer is told how things are.
 const STATUS_INTERVAL: Duration = Duration::from_secs(1);
+/// After this long without a newer frame, one that was less good than wished is sent again as wished.
+const REFINE_INTERVAL: Duration = Duration::from_millis(300);
 /// How many pings a viewer may miss before it counts as stalled.
 const PINGS_PER_STALL: u32 = 3;
 
@@ -52,9 +55,14 @@ pub(super) async fn write(
         context,
         last: None,
         last_binary_at: Instant::now(),
+        refine_at: None,
         rates_from: Instant::now(),
     };
     if let Err(end) = outbound.say(welcome).await {
+        return end;
+    }
+    // At once: no frame stands in its way yet, so its round trip is that of an empty link.
+    if let Err(end) = outbound.ping().await {
         return end;
     }
     let start = Instant::now();
@@ -66,6 +74,7 @@ pub(super) async fn write(
     ping.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         let heartbeat_at = outbound.last_binary_at + HEARTBEAT_INTERVAL;
+        let refine_at = outbound.refine_at;
         let result = tokio::select! {
             frame = viewer.outbox().next() => {
                 context.encoders.go_on(viewer);
@@ -74,7 +83,8 @@ pub(super) async fn write(
             Some(answer) = answers.recv() => outbound.say(&answer).await,
             _ = status.tick() => outbound.status().await,
             () = tokio::time::sleep_until(heartbeat_at) => outbound.heartbeat().await,
-            _ = ping.tick() => outbound.send(Message::Ping(Bytes::new())).await,
+            () = tokio::time::sleep_until(refine_at.unwrap_or(heartbeat_at)), if refine_at.is_some() => outbound.refine(),
+            _ = ping.tick() => outbound.ping().await,
             () = viewer.failure() => Err(End::internal("a frame could not be encoded")),
         };
         if let Err(end) = result {
@@ -89,22 +99,52 @@ struct Outbound<'a> {
     context: &'a StreamContext,
     last: Option<FrameHeader>,
     last_binary_at: Instant,
+    /// When the last frame is to come again, as good as wished.
+    refine_at: Option<Instant>,
     rates_from: Instant,
 }
 
 impl Outbound<'_> {
     async fn frame(&mut self, frame: EncodedFrame) -> Result<(), End> {
+        let is_reduced = frame.is_reduced();
         let (header, message) = frame.into_message(std::time::Instant::now());
-        self.context.metrics.frames_sent.increment(1);
         crate::traces::frame_sent(&header);
+        self.context.metrics.sent(&header.stages);
+        let sent = SentFrame {
+            sequence: header.sequence,
+            render_unix_us: header.render_unix_us,
+            sent_us: self.viewer.clock_us(),
+            bytes: message.len() as u64,
+        };
         // Before it is sent: the acknowledgement may be there before the send returns.
-        self.viewer
-            .figures()
-            .sent_frame(header.sequence, header.render_unix_us);
+        {
+            let mut figures = self.viewer.figures();
+            figures.sent_frame(sent);
+            for (stage, time_us) in Stage::of_header(&header.stages) {
+                figures.latencies.push(stage, time_us);
+            }
+        }
         self.last = Some(header);
         self.send(Message::Binary(message)).await?;
         self.last_binary_at = Instant::now();
+        self.refine_at = is_reduced.then(|| self.last_binary_at + REFINE_INTERVAL);
         Ok(())
+    }
+
+    /// Asks for the last frame again, as good as wished.
+    fn refine(&mut self) -> Result<(), End> {
+        self.refine_at = None;
+        let viewer = self.viewer.id();
+        let refine = RenderCommand::Refine { viewer };
+        let sent = self.context.frame_loop.send(refine);
+        sent.map_err(|error| renderer_gone(error, self.viewer))
+    }
+
+    /// Asks for a sign of life that tells how long the way there and back takes.
+    async fn ping(&mut self) -> Result<(), End> {
+        let payload = self.viewer.clock_us().to_le_bytes();
+        self.send(Message::Ping(Bytes::copy_from_slice(&payload)))
+            .await
     }
 
     async fn heartbeat(&mut self) -> Result<(), End> {

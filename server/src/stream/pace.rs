@@ -14,8 +14,8 @@ const INTERVAL: Duration = Duration::from_millis(8);
 /// What is to be sent now.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Due {
-    /// The last camera, if there is a new one.
-    pub(super) camera: Option<CameraInput>,
+    /// The last camera, if there is a new one, and when it came.
+    pub(super) camera: Option<(CameraInput, Instant)>,
     /// The wishes have changed.
     pub(super) view: bool,
 }
@@ -36,8 +36,8 @@ impl InputPace {
     }
 
     /// A camera has come.
-    pub(super) fn camera(&mut self, input: CameraInput) {
-        self.waiting.camera = Some(input);
+    pub(super) fn camera(&mut self, input: CameraInput, now: Instant) {
+        self.waiting.camera = Some((input, now));
     }
 
     /// The wishes have changed.
@@ -82,14 +82,15 @@ mod tests {
         assert_eq!(pace.due_at(), None);
         let mut sent = Vec::new();
         for number in 0..1000 {
-            pace.camera(input(number));
             let now = start + Duration::from_millis(number);
+            pace.camera(input(number), now);
             sent.extend(pace.take_due(now).camera);
         }
-        assert_eq!(sent.first(), Some(&input(0)));
+        assert_eq!(sent.first(), Some(&(input(0), start)));
         assert!((120..=126).contains(&sent.len()), "{}", sent.len());
         let later = start + Duration::from_secs(1) + INTERVAL;
-        assert_eq!(pace.take_due(later).camera, Some(input(999)));
+        let came = start + Duration::from_millis(999);
+        assert_eq!(pace.take_due(later).camera, Some((input(999), came)));
         assert_eq!(pace.due_at(), None);
     }
 }

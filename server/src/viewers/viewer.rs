@@ -6,11 +6,12 @@ use std::time::Instant;
 
 use bytes::Bytes;
 use skycell_protocol::frame::FRAME_HEADER_BYTES;
-use skycell_protocol::{FrameHeader, ViewerId};
+use skycell_protocol::{FrameHeader, FrameSequence, ViewerId};
 use tokio::sync::Notify;
 
 use super::figures::ViewerFigures;
 use super::pixels::PixelShare;
+use super::rate::RateControl;
 use super::slot::LatestSlot;
 use crate::clock::saturating_us;
 use crate::encode::ViewerStream;
@@ -24,17 +25,31 @@ pub struct EncodedFrame {
     /// Room for the header, then the payload, so that sending copies nothing.
     message: Vec<u8>,
     encoded: Instant,
+    /// It is not as good as the viewer wishes, because its link does not take that.
+    is_reduced: bool,
 }
 
 impl EncodedFrame {
     /// A frame whose `message` has [`FRAME_HEADER_BYTES`] bytes of room before the payload.
-    pub fn new(header: FrameHeader, message: Vec<u8>, encoded: Instant) -> Self {
+    /// `is_reduced`: it is not as good as the viewer wishes, because its link does not take that.
+    pub fn new(header: FrameHeader, message: Vec<u8>, encoded: Instant, is_reduced: bool) -> Self {
         debug_assert!(message.len() >= FRAME_HEADER_BYTES);
         Self {
             header,
             message,
             encoded,
+            is_reduced,
         }
+    }
+
+    /// Its number.
+    pub fn sequence(&self) -> FrameSequence {
+        self.header.sequence
+    }
+
+    /// Whether it is not as good as the viewer wishes, because its link does not take that.
+    pub fn is_reduced(&self) -> bool {
+        self.is_reduced
     }
 
     /// The finished message and its header, which tells how long the frame waited until `now`.
@@ -63,6 +78,7 @@ pub struct Viewer {
     view: Mutex<ViewRequest>,
     inbox: Mutex<EncoderInbox>,
     figures: Mutex<ViewerFigures>,
+    rate: Mutex<RateControl>,
     outbox: LatestSlot<EncodedFrame>,
     failed: Notify,
     pixels: PixelShare,
@@ -80,6 +96,7 @@ impl Viewer {
             view: Mutex::new(view),
             inbox: Mutex::default(),
             figures: Mutex::default(),
+            rate: Mutex::default(),
             outbox: LatestSlot::default(),
             failed: Notify::new(),
             pixels,
@@ -121,6 +138,16 @@ impl Viewer {
         lock(&self.figures)
     }
 
+    /// What its link takes.
+    pub fn rate(&self) -> MutexGuard<'_, RateControl> {
+        lock(&self.rate)
+    }
+
+    /// A clock for [`super::SentFrame`] and [`super::Delivery`]: µs since it said hello.
+    pub fn clock_us(&self) -> u64 {
+        u64::try_from(self.connected.elapsed().as_micros()).unwrap_or(u64::MAX)
+    }
+
     /// The encoded frame that is to be sent next.
     pub fn outbox(&self) -> &LatestSlot<EncodedFrame> {
         &self.outbox
@@ -138,6 +165,11 @@ impl Viewer {
         let needs_job = !inbox.has_job;
         inbox.has_job = true;
         (replaced, needs_job)
+    }
+
+    /// Whether a frame waits to be encoded.
+    pub fn has_waiting_frame(&self) -> bool {
+        lock(&self.inbox).frame.is_some()
     }
 
     /// Takes the frame that waits to be encoded. With none left, the job is over; and when the frame is of a video and the one

@@ -141,6 +141,7 @@ impl State {
                 viewer,
                 input,
                 camera,
+                ..
             } => {
                 self.witness.cameras_heard.fetch_add(1, Ordering::SeqCst);
                 let state = self.known(viewer);
@@ -153,11 +154,14 @@ impl State {
                 state.view = view;
                 state.is_changed = true;
             }
-            RenderCommand::Acknowledge { viewer, sequence } => {
+            RenderCommand::Acknowledge {
+                viewer, sequence, ..
+            } => {
                 let state = self.known(viewer);
                 assert!(sequence.0 <= state.composited);
                 state.acknowledged = state.acknowledged.max(sequence.0);
             }
+            RenderCommand::Refine { viewer } => self.known(viewer).is_changed = true,
             RenderCommand::Leave { viewer } => {
                 assert!(self.viewers.remove(&viewer).is_some());
                 self.witness.left.lock().expect("not poisoned").push(viewer);
@@ -221,6 +225,7 @@ impl State {
                 clouds: None,
                 coarse: state.composited == 1,
                 exact: state.composited > 1,
+                refines: false,
                 refinement: Refinement::None,
                 stages: FrameStages::default(),
                 submitted_unix_us: unix_now_us(),

@@ -88,11 +88,7 @@ pub(super) async fn run(
                         watched.saw(&frame);
                     });
                     heard = Instant::now();
-                    connection.acknowledge(Acknowledgement {
-                        sequence: frame.header.sequence,
-                        decode_us: None,
-                        present_us: None,
-                    }).await?;
+                    connection.acknowledge(Acknowledgement::of(frame.header.sequence)).await?;
                 }
                 Event::Heartbeat(_) => {
                     note(&mut |watched| watched.heard(heard.elapsed()));
