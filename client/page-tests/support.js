@@ -139,11 +139,6 @@ export async function openPage(browser, url, options = {}) {
   const errors = [];
   page.on("console", (message) => message.type() === "error" && errors.push(`${message.text()} ${message.location().url}`));
   page.on("pageerror", (error) => errors.push(error.message));
-  await page.route("**/api/v1/openapi.json", async (route) => {
-    const answer = await route.fetch();
-    const { OPENAPI } = await import(/** @type {any} */ ("../web/tests/scene-schema.sample.js"));
-    return answer.ok() ? route.fulfill({ response: answer }) : route.fulfill({ json: OPENAPI });
-  });
   await page.goto(url);
   return { context, page, errors };
 }

@@ -21,8 +21,6 @@ static BIN_DIR: OnceLock<Result<PathBuf, String>> = OnceLock::new();
 pub struct ServerOptions {
     /// Keeps its state here instead of in a folder that is removed with it.
     pub state_dir: Option<PathBuf>,
-    /// Where it listens, instead of at a free port.
-    pub listen: Option<String>,
     /// Added to its configuration file, before `[render]`.
     pub top_level_toml: String,
     /// Added to section `[render]`.

@@ -19,7 +19,7 @@ use tokio::sync::Semaphore;
 
 use super::Problem;
 use super::maps::accepts;
-use crate::frame_loop::interface::{RenderCommand, ViewRequest};
+use crate::frame_loop::interface::{FRAMES_IN_FLIGHT_MAX, RenderCommand, ViewRequest};
 use crate::stream::{LeaveOnDrop, StreamContext};
 
 /// How many may wait for their turn, beside the one that is made.
@@ -216,6 +216,7 @@ async fn picture(
             .send(RenderCommand::Acknowledge {
                 viewer: id,
                 sequence: header.sequence,
+                frames_in_flight_max: FRAMES_IN_FLIGHT_MAX,
             })
             .map_err(gone)?;
     }
