@@ -296,6 +296,8 @@ impl FrameLoop {
     /// A viewer gets its last picture once more, unless another is due.
     fn refine(&mut self, id: ViewerId, now: Instant) {
         let is_marching = self.renderer.screen_space_pending(id);
+        let of_own = self.renderer.viewers.get(&id);
+        let has_own_rays = of_own.is_some_and(|viewer| self.renderer.marches_pixels(viewer));
         let (Some(pace), Some(viewer)) =
             (self.paces.get_mut(&id), self.renderer.viewers.get_mut(&id))
         else {
@@ -306,13 +308,11 @@ impl FrameLoop {
             return;
         }
         viewer.refines = true;
-        match viewer.kind {
-            RendererKind::Cached => pace.change = Change::Seen,
+        if !has_own_rays {
+            pace.change = Change::Seen;
+        } else if viewer.has_room() {
             // What is marched is still there.
-            RendererKind::ScreenSpace if viewer.has_room() => {
-                self.composite(&[id], now);
-            }
-            RendererKind::ScreenSpace => {}
+            self.composite(&[id], now);
         }
     }
 
