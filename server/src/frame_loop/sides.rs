@@ -86,7 +86,7 @@ impl SkyRenderer {
         match (viewer.kind, cell) {
             (RendererKind::Cached, Some(cell)) => {
                 let near = self.near_layers_of(cell);
-                layers.filter(|layer| near >> layer & 1 == 1).collect()
+                layers.filter(|layer| (near >> layer) & 1 == 1).collect()
             }
             (RendererKind::Cached, None) => Vec::new(),
             (RendererKind::ScreenSpace, _) => layers.collect(),

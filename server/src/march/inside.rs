@@ -73,7 +73,7 @@ pub fn near_layers(
             let proxy = proxies.iter().find(|proxy| proxy.layer == *place);
             proxy.is_some_and(|proxy| proxy.far_part(frame, **anchor).is_some())
         })
-        .fold(0, |bits, ((place, _), _)| bits | 1 << place)
+        .fold(0, |bits, ((place, _), _)| bits | (1 << place))
 }
 
 #[cfg(test)]
