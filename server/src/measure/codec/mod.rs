@@ -255,7 +255,7 @@ pub(super) fn run(arguments: &CodecArguments) -> anyhow::Result<()> {
         let rendered =
             still.render_frames(*size, &settings, &frames, costs, |index, display, _| {
                 let is_compared =
-                    (index + 1) as u32 % arguments.compared_every == 0 || index + 1 == frames.len();
+                    ((index + 1) as u32).is_multiple_of(arguments.compared_every) || index + 1 == frames.len();
                 let taken = studied
                     .iter_mut()
                     .try_for_each(|one| one.take(&display, is_compared));
