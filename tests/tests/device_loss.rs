@@ -80,6 +80,8 @@ fn lose(handle: &FrameLoopHandle) -> anyhow::Result<()> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn viewers_stay_when_the_device_is_lost_and_see_frames_again() -> Outcome {
+    // Any client that may speak TLS asks for it.
+    let _ = rustls::crypto::ring::default_provider().install_default();
     let state = tempfile::tempdir()?;
     // No wind: every frame has a reason.
     let store = SceneStore::open(state.path().to_owned())?;

@@ -159,6 +159,8 @@ async fn check(address: SocketAddr, all: &Acknowledged, checked: u64) {
 
 /// Kills a server that many times; returns how many patches were acknowledged.
 async fn kill_at_random_instants(rounds: u32) -> usize {
+    // As in `world`: any client that may speak TLS asks for it.
+    let _ = rustls::crypto::ring::default_provider().install_default();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let counter = Arc::new(Mutex::new(0));
     let all = Acknowledged::default();
