@@ -175,10 +175,10 @@ fn either(one: Value, other: Value) -> Value {
     }
     match one {
         Value::Object(mut members) if members.contains_key("anyOf") && members.len() == 1 => {
-            if let Some(Value::Array(choices)) = members.get_mut("anyOf") {
-                if !choices.contains(&other) {
-                    choices.push(other);
-                }
+            if let Some(Value::Array(choices)) = members.get_mut("anyOf")
+                && !choices.contains(&other)
+            {
+                choices.push(other);
             }
             Value::Object(members)
         }
@@ -199,10 +199,10 @@ fn nullable(mut schema: Value) -> Value {
         if let Some(constant) = members.remove("const") {
             members.insert("enum".into(), json!([constant]));
         }
-        if let Some(Value::Array(names)) = members.get_mut("enum") {
-            if !names.contains(&Value::Null) {
-                names.push(Value::Null);
-            }
+        if let Some(Value::Array(names)) = members.get_mut("enum")
+            && !names.contains(&Value::Null)
+        {
+            names.push(Value::Null);
         }
         let is_enumeration = members.contains_key("enum");
         match members.get_mut("type") {

@@ -29,7 +29,7 @@ impl Schemas {
     }
 
     /// What a schema refers to.
-    fn resolved<'a>(&'a self, schema: &'a Value) -> &'a Value {
+    pub(crate) fn resolved<'a>(&'a self, schema: &'a Value) -> &'a Value {
         match schema.get("$ref").and_then(Value::as_str) {
             Some(at) => self.resolved(&self.all[at.trim_start_matches(COMPONENTS)]),
             None => schema,
