@@ -176,9 +176,10 @@ fn either(one: Value, other: Value) -> Value {
     match one {
         Value::Object(mut members) if members.contains_key("anyOf") && members.len() == 1 => {
             if let Some(Value::Array(choices)) = members.get_mut("anyOf")
-                && !choices.contains(&other) {
-                    choices.push(other);
-                }
+                && !choices.contains(&other)
+            {
+                choices.push(other);
+            }
             Value::Object(members)
         }
         one => json!({"anyOf": [one, other]}),
@@ -199,9 +200,10 @@ fn nullable(mut schema: Value) -> Value {
             members.insert("enum".into(), json!([constant]));
         }
         if let Some(Value::Array(names)) = members.get_mut("enum")
-            && !names.contains(&Value::Null) {
-                names.push(Value::Null);
-            }
+            && !names.contains(&Value::Null)
+        {
+            names.push(Value::Null);
+        }
         let is_enumeration = members.contains_key("enum");
         match members.get_mut("type") {
             Some(Value::Array(kinds)) => {

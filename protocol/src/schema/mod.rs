@@ -1,7 +1,7 @@
 //! JSON Schemas (draft 2020-12, as OpenAPI 3.1 has them) of what this crate reads.
 //!
 //! They are derived from the wire types; the ranges are those of [`crate::scene::ranges`]. A range that is told here and one
-//! that is checked there name the same constant, and `protocol/tests/schema.rs` holds schema and reader against each other.
+//! that is checked there name the same constant, and `protocol/tests/schema` holds schema and reader against each other.
 //! What only several values together decide (a layer's top above its base) no schema tells.
 //!
 //! Beside the standard's own keys: `x-unit`, the unit of a number, which is the end of its key (`m`, `deg`, `per_m`);
@@ -11,7 +11,7 @@
 mod merge_patch;
 
 use schemars::generate::SchemaSettings;
-use schemars::{JsonSchema, Schema, SchemaGenerator};
+use schemars::{Schema, SchemaGenerator};
 use serde_json::{Map, Value, json};
 
 pub use merge_patch::merge_patch_of;
@@ -80,13 +80,6 @@ pub fn scene_schemas() -> Map<String, Value> {
     let mut schemas = definitions_of(generator);
     merge_patch_of("Scene", &mut schemas);
     schemas
-}
-
-/// The schema of a type that has no definition of its own, as it stands in the document.
-pub fn inline_schema_of<T: JsonSchema>(generator: &mut SchemaGenerator) -> Value {
-    let mut schema = generator.subschema_for::<T>().to_value();
-    finish(&mut schema, None);
-    schema
 }
 
 /// `SceneDocument` is `Scene` to the world.

@@ -40,6 +40,7 @@ pub(super) const PIXELS_MAX: u32 = 1920 * 1080;
 /// The size where nobody says.
 pub(super) const SIZE: [u32; 2] = [640, 360];
 
+const ENDING: &str = "the server is shutting down";
 const PNG: &str = "image/png";
 const SCENE_REVISION: HeaderName = HeaderName::from_static("skycell-scene-revision");
 const EXACT: HeaderName = HeaderName::from_static("skycell-exact");
@@ -89,6 +90,9 @@ async fn snapshot(
         ));
     }
     let view = view_of(&query).map_err(Problem::bad_value)?;
+    if context.draining.is_cancelled() {
+        return Err(unavailable(ENDING));
+    }
     let _place = context.snapshots.places.try_acquire().map_err(|_| {
         Problem::new(
             StatusCode::TOO_MANY_REQUESTS,
@@ -105,7 +109,7 @@ async fn snapshot(
             Err(unavailable("no frame was ready in time; try again later"))
         })?,
         () = context.shutdown.cancelled() => {
-            return Err(unavailable("the server is shutting down"));
+            return Err(unavailable(ENDING));
         }
     };
     let mut response = axum::body::Body::from(png).into_response();

@@ -28,6 +28,7 @@ fn validator(document: &Value, schema: &Value) -> Validator {
 fn filled(path: &str) -> String {
     path.replace("{kind}", "coverage")
         .replace("{name}", "storm")
+        .replace("{revision}", "1")
 }
 
 /// The answer is one of those that the document has for the operation.
@@ -189,6 +190,15 @@ async fn changes_and_refusals_are_as_the_document_says() {
             json,
             "*",
             bad_name.as_str(),
+            422,
+        ),
+        ("post", "/api/v1/scene/revert", json, "*", "", 200),
+        (
+            "post",
+            "/api/v1/scene/revert",
+            json,
+            "*",
+            "{\"revision\": 77}",
             422,
         ),
         ("delete", "/api/v1/scene/maps/{kind}", json, "*", "", 200),

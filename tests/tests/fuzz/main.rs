@@ -114,6 +114,8 @@ targets! {
     no_map_of_a_png_panics: "maps-png", seeds::pngs(), targets::map;
     no_map_of_an_exr_panics: "maps-exr", seeds::exrs(), targets::map;
     no_frame_panics: "frames", seeds::frames(), targets::frame;
+    no_picture_of_clouds_panics: "clouds", seeds::clouds(), targets::clouds;
+    no_line_of_a_token_panics: "tokens", seeds::token_lines(), targets::token_line;
     no_camera_path_panics: "camera-paths", seeds::camera_paths(), targets::camera_path;
     no_configuration_panics: "configurations", seeds::configurations(), targets::configuration;
 }

@@ -1,6 +1,7 @@
 //! Inputs that every parser takes.
 
 use serde_json::{Value, json};
+use skycell_protocol::clouds::{CloudsHeader, PIXEL_BYTES, append};
 use skycell_protocol::scene::Family;
 use skycell_protocol::{
     CellId, FrameCodec, FrameHeader, FrameSequence, FrameStages, InputSequence, SceneDocument,
@@ -186,6 +187,31 @@ pub(crate) fn frames() -> Vec<Input> {
             Input::Bytes([header.encode().as_slice(), b"cloud"].concat())
         })
         .collect()
+}
+
+pub(crate) fn clouds() -> Vec<Input> {
+    [(4, 2, false), (1, 1, true)]
+        .into_iter()
+        .map(|(width, height, haze)| {
+            let header = CloudsHeader {
+                width,
+                height,
+                pre_exposure: 0.5,
+                haze,
+            };
+            // Half floats of 0.5.
+            let pixels = [0x00, 0x38].repeat((width * height) as usize * PIXEL_BYTES / 2);
+            let mut payload = Vec::new();
+            append(&mut payload, &header, &pixels).expect("a picture");
+            Input::Bytes(payload)
+        })
+        .collect()
+}
+
+pub(crate) fn token_lines() -> Vec<Input> {
+    ["view guests", "steer mission-control", "admin x"]
+        .map(|holder| Input::Bytes(format!("{holder} sha256:{}", "0f".repeat(32)).into_bytes()))
+        .into()
 }
 
 pub(crate) fn camera_paths() -> Vec<Input> {

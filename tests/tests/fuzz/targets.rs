@@ -2,9 +2,11 @@
 
 use serde_json::{Map, Value};
 use skycell_client::camera_path::CameraPath;
+use skycell_protocol::clouds::Clouds;
 use skycell_protocol::message::{ClientMessage, ServerMessage};
 use skycell_protocol::scene::Scene;
 use skycell_protocol::{FrameHeader, Moment};
+use skycell_server::access::TokenEntry;
 use skycell_server::config::Config;
 use skycell_server::field::{GreyMap, MapFileFormat};
 use skycell_server::scene::SceneJsonPatch;
@@ -89,6 +91,20 @@ pub(crate) fn frame(bytes: &[u8]) -> bool {
     assert_eq!(payload.len(), header.payload_bytes as usize);
     assert_eq!(FrameHeader::decode(&header.encode()), Ok(header));
     true
+}
+
+pub(crate) fn clouds(bytes: &[u8]) -> bool {
+    let Ok(clouds) = Clouds::parse(bytes) else {
+        return false;
+    };
+    let pixels = (clouds.width() * clouds.height()) as usize;
+    assert!(clouds.planes().iter().all(|plane| plane.len() == pixels));
+    assert!((0..pixels).all(|pixel| (0.0..=1.0).contains(&clouds.transmittance(pixel))));
+    true
+}
+
+pub(crate) fn token_line(bytes: &[u8]) -> bool {
+    std::str::from_utf8(bytes).is_ok_and(|line| TokenEntry::parse(line).is_some())
 }
 
 pub(crate) fn camera_path(bytes: &[u8]) -> bool {

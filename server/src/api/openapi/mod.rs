@@ -42,7 +42,7 @@ fn value() -> Value {
         "paths": paths::paths(),
         "components": {
             "schemas": schemas::all(),
-            "securitySchemes": {paths::TOKEN: {
+            "securitySchemes": {(paths::TOKEN): {
                 "type": "http",
                 "scheme": "bearer",
                 "description": "Where the server has tokens: one with the role that the operation names (view, steer, admin), or a \

@@ -39,7 +39,7 @@ pub(super) fn paths() -> Value {
                 continue;
             };
             if let Rule::Needs(role) = rule_of(&method, path, false) {
-                operation["security"] = json!([{TOKEN: [role.name()]}, {}]);
+                operation["security"] = json!([{(TOKEN): [role.name()]}, {}]);
             }
         }
     }

@@ -1,157 +1,15 @@
 //! The scene's schema against the scene's reader: what one takes, the other takes.
 
+mod maker;
+mod numbers;
+
 use std::collections::BTreeSet;
 
 use fastrand::Rng;
-use jsonschema::Validator;
-use serde_json::{Map, Value, json};
+use maker::{Maker, Schemas, complaints, ends};
+use numbers::{full_scenes, numbers_of, put};
+use serde_json::{Value, json};
 use skycell_protocol::scene::{Family, Scene, SceneDocument};
-use skycell_protocol::schema::{COMPONENTS, scene_schemas};
-
-struct Schemas {
-    all: Map<String, Value>,
-}
-
-impl Schemas {
-    fn new() -> Self {
-        Self {
-            all: scene_schemas(),
-        }
-    }
-
-    fn validator(&self, name: &str) -> Validator {
-        let document = json!({
-            "$schema": "https://json-schema.org/draft/2020-12/schema",
-            "$ref": format!("{COMPONENTS}{name}"),
-            "components": {"schemas": self.all},
-        });
-        jsonschema::options()
-            .should_validate_formats(true)
-            .build(&document)
-            .expect("a schema")
-    }
-
-    /// What a schema refers to.
-    fn resolved<'a>(&'a self, schema: &'a Value) -> &'a Value {
-        match schema.get("$ref").and_then(Value::as_str) {
-            Some(at) => self.resolved(&self.all[at.trim_start_matches(COMPONENTS)]),
-            None => schema,
-        }
-    }
-}
-
-fn complaints(validator: &Validator, document: &Value) -> String {
-    let all: Vec<String> = validator
-        .iter_errors(document)
-        .take(3)
-        .map(|error| format!("{}: {error}", error.instance_path()))
-        .collect();
-    all.join("; ")
-}
-
-/// A document of the schema: keys are left out or there, numbers at their ends or between.
-struct Maker<'a> {
-    schemas: &'a Schemas,
-    rng: Rng,
-}
-
-impl Maker<'_> {
-    fn value_of(&mut self, schema: &Value, depth: usize) -> Value {
-        let schema = self.schemas.resolved(schema).clone();
-        if let Some(constant) = schema.get("const") {
-            return constant.clone();
-        }
-        if let Some(names) = schema.get("enum").and_then(Value::as_array) {
-            return names[self.rng.usize(..names.len())].clone();
-        }
-        for key in ["oneOf", "anyOf"] {
-            if let Some(choices) = schema.get(key).and_then(Value::as_array) {
-                let choice = choices[self.rng.usize(..choices.len())].clone();
-                return self.value_of(&choice, depth);
-            }
-        }
-        let kinds: Vec<&str> = match &schema["type"] {
-            Value::String(kind) => vec![kind],
-            Value::Array(kinds) => kinds.iter().filter_map(Value::as_str).collect(),
-            other => panic!("no type {other} in {schema}"),
-        };
-        match kinds[self.rng.usize(..kinds.len())] {
-            "null" => Value::Null,
-            "boolean" => self.rng.bool().into(),
-            "integer" => {
-                let (low, high) = ends(&schema);
-                match self.rng.u8(..4) {
-                    0 => json!(low as u64),
-                    1 => json!(high as u64),
-                    _ => json!(self.rng.u64(low as u64..=high as u64)),
-                }
-            }
-            "number" => {
-                let (low, high) = ends(&schema);
-                match self.rng.u8(..4) {
-                    0 => json!(low),
-                    1 => json!(high),
-                    _ => json!((low + self.rng.f64() * (high - low)).clamp(low, high)),
-                }
-            }
-            "string" => self.text_of(&schema).into(),
-            "array" => {
-                if let Some(each) = schema.get("prefixItems").and_then(Value::as_array) {
-                    return each.iter().map(|item| self.value_of(item, depth)).collect();
-                }
-                let least = schema.get("minItems").and_then(Value::as_u64).unwrap_or(0);
-                let most = schema.get("maxItems").and_then(Value::as_u64).unwrap_or(3);
-                let count = self.rng.u64(least..=most.min(least.max(2)));
-                (0..count)
-                    .map(|_| self.value_of(&schema["items"], depth + 1))
-                    .collect()
-            }
-            "object" => self.object_of(&schema, depth),
-            kind => panic!("no {kind} can be made"),
-        }
-    }
-
-    fn text_of(&mut self, schema: &Value) -> String {
-        if schema.get("format") == Some(&json!("date-time")) {
-            return ["2026-06-21T10:30:00Z", "1999-12-31T23:59:59.5+02:00"][self.rng.usize(..2)]
-                .to_owned();
-        }
-        let letters = self.rng.usize(1..=12);
-        (0..letters).map(|_| self.rng.alphanumeric()).collect()
-    }
-
-    fn object_of(&mut self, schema: &Value, depth: usize) -> Value {
-        let mut object = Map::new();
-        let required = schema.get("required").cloned().unwrap_or(json!([]));
-        let required: Vec<&str> = required
-            .as_array()
-            .into_iter()
-            .flatten()
-            .filter_map(Value::as_str)
-            .collect();
-        let properties = schema.get("properties").and_then(Value::as_object);
-        for (key, property) in properties.into_iter().flatten() {
-            // Scenes in scenes go on for ever.
-            let is_there = self.rng.u8(..10) < if depth > 6 { 1 } else { 5 };
-            if is_there || required.contains(&key.as_str()) {
-                object.insert(key.clone(), self.value_of(property, depth + 1));
-            }
-        }
-        if let Some(values @ Value::Object(_)) = schema.get("additionalProperties") {
-            for _ in 0..self.rng.usize(..3) {
-                let key = self.text_of(&Value::Null);
-                object.insert(key, self.value_of(values, depth + 1));
-            }
-        }
-        Value::Object(object)
-    }
-}
-
-/// The ends of a number.
-fn ends(schema: &Value) -> (f64, f64) {
-    let end = |key: &str, default: f64| schema.get(key).and_then(Value::as_f64).unwrap_or(default);
-    (end("minimum", -1.0e3), end("maximum", 1.0e3))
-}
 
 /// Rules between several values, by the words of the reader's error: no schema tells them.
 const RULES_BETWEEN_VALUES: [&str; 15] = [
@@ -175,11 +33,10 @@ const RULES_BETWEEN_VALUES: [&str; 15] = [
 /// The document's own part of an animation's path is a text; all else about it is a rule between values, too: whatever a
 /// keyframe's value breaks where the path leads.
 fn is_rule_between_values(pointer: &str, allowed: &str) -> bool {
-    RULES_BETWEEN_VALUES
+    let by_words = RULES_BETWEEN_VALUES
         .iter()
-        .any(|words| allowed.contains(words))
-        || (pointer.starts_with("/animation/") || pointer.contains("/animation/"))
-            && pointer.ends_with("/value")
+        .any(|words| allowed.contains(words));
+    by_words || pointer.contains("/animation/") && pointer.ends_with("/value")
 }
 
 /// What a reader takes and the schema does not: a density without the name of its model in a layer of a family of ice.
@@ -344,133 +201,6 @@ fn places_of(value: &Value, at: String, places: &mut Vec<String>) {
     }
 }
 
-/// A scene in which every object of the schema stands, for numbers to be set in.
-fn full_scenes() -> Vec<Value> {
-    let base = json!({
-        "version": 1,
-        "planet": {"radius_m": 6.36e6},
-        "sun": {"place_and_time": {"latitude_deg": 1.0}, "irradiance_w_per_m2_nm": [1.0, 1.0, 1.0]},
-        "moon": {},
-        "stars": {},
-        "quality": {"preset": "high"},
-        "atmosphere": {"model": "physical"},
-        "layers": [{"name": "a", "density": {"model": "weather", "maps": {}}, "wind": {}, "phase": {"model": "draine"}}],
-        "light": {"phase": {"model": "hg-draine"}},
-        "tone": {"auto_exposure": {"min_ev": 0.0, "max_ev": 0.0}},
-        "time": {"wind_rate": 1.0},
-        "animation": [{"path": "/exposure_ev", "keyframes": [{"at_s": 0.0}]}],
-        "transition": {"duration_s": 1.0, "from": {"version": 1}},
-        "drift": {"since": 0, "layers_m": {"a": [0.0, 0.0, 0.0]}},
-    });
-    let with = |pointer: &str, value: Value| {
-        let mut scene = base.clone();
-        *scene.pointer_mut(pointer).expect("it is there") = value;
-        scene
-    };
-    vec![
-        base.clone(),
-        with("/atmosphere", json!({"model": "analytic"})),
-        with(
-            "/atmosphere",
-            json!({"model": "uniform", "radiance_w_per_m2_nm_sr": [0.0, 0.0, 0.0]}),
-        ),
-        with("/quality", json!({"max_error": 0.1})),
-        with("/quality", json!({"budget_ms": 1.0})),
-        with("/layers/0/density", json!({"model": "cirrus"})),
-        with(
-            "/layers/0/density",
-            json!({"model": "homogeneous", "shape": {"form": "box", "center_m": [0.0, 0.0, 0.0], "size_m": [1.0, 1.0, 1.0]}}),
-        ),
-        with(
-            "/layers/0/density",
-            json!({"model": "homogeneous", "shape": {"form": "sphere", "center_m": [0.0, 0.0, 0.0]}}),
-        ),
-        with(
-            "/layers/0/density",
-            json!({"model": "grid", "file": "a.raw", "dimensions": [1, 1, 1], "bounds_min_m": [-2.0e7, -2.0e5, -2.0e7], "bounds_max_m": [2.0e7, 4.0e5, 2.0e7]}),
-        ),
-        with("/layers/0/phase", json!({"model": "hg"})),
-        with("/layers/0/phase", json!({"model": "hg-draine"})),
-    ]
-}
-
-/// Calls `each` for every number of the schema that can stand in the scene, with its pointer and its own schema.
-fn numbers_of(
-    schemas: &Schemas,
-    schema: &Value,
-    scene: &Value,
-    at: String,
-    each: &mut dyn FnMut(&str, &Value),
-) {
-    let schema = schemas.resolved(schema);
-    for key in ["oneOf", "anyOf"] {
-        for choice in schema
-            .get(key)
-            .and_then(Value::as_array)
-            .into_iter()
-            .flatten()
-        {
-            let choice = schemas.resolved(choice);
-            let tags_fit = choice
-                .get("properties")
-                .and_then(Value::as_object)
-                .into_iter()
-                .flatten()
-                .all(|(key, property)| {
-                    property.get("const").is_none_or(|constant| {
-                        scene
-                            .pointer(&format!("{at}/{key}"))
-                            .is_none_or(|tag| tag == constant)
-                    })
-                });
-            let required = choice.get("required").and_then(Value::as_array);
-            let is_meant = required
-                .into_iter()
-                .flatten()
-                .filter_map(Value::as_str)
-                .all(|key| scene.pointer(&format!("{at}/{key}")).is_some());
-            if tags_fit && is_meant {
-                numbers_of(schemas, choice, scene, at.clone(), each);
-            }
-        }
-    }
-    if scene.pointer(&at).is_some_and(Value::is_object) {
-        for (key, property) in schema
-            .get("properties")
-            .and_then(Value::as_object)
-            .into_iter()
-            .flatten()
-        {
-            numbers_of(schemas, property, scene, format!("{at}/{key}"), each);
-        }
-    }
-    let each_item = schema.get("prefixItems").and_then(Value::as_array);
-    // The two corners of a grid bound each other, and stand at their ends already.
-    if !at.contains("/bounds_") {
-        for (index, item) in each_item.into_iter().flatten().enumerate() {
-            if scene.pointer(&format!("{at}/{index}")).is_some() {
-                numbers_of(schemas, item, scene, format!("{at}/{index}"), each);
-            }
-        }
-    }
-    let items = schema.get("items").filter(|items| items.is_object());
-    if let (Some(items), Some(Value::Array(there))) = (items, scene.pointer(&at)) {
-        for index in 0..there.len() {
-            numbers_of(schemas, items, scene, format!("{at}/{index}"), each);
-        }
-    }
-    let kind = &schema["type"];
-    let is_number = ["number", "integer"].iter().any(|name| {
-        kind == name
-            || kind
-                .as_array()
-                .is_some_and(|all| all.contains(&json!(name)))
-    });
-    if is_number && schema.get("const").is_none() {
-        each(&at, schema);
-    }
-}
-
 #[test]
 fn both_ends_of_every_range_are_taken_and_what_lies_beyond_is_refused() {
     let schemas = Schemas::new();
@@ -540,21 +270,6 @@ fn both_ends_of_every_range_are_taken_and_what_lies_beyond_is_refused() {
     }
     println!("{} numbers", tried.len());
     assert!(tried.len() > 80, "{} numbers: {tried:?}", tried.len());
-}
-
-/// Sets a value, which may not be there yet.
-fn put(scene: &mut Value, at: &str, value: Value) {
-    let (parent, key) = at.rsplit_once('/').expect("a pointer");
-    match scene.pointer_mut(parent) {
-        Some(Value::Object(members)) => {
-            members.insert(key.to_owned(), value);
-        }
-        Some(Value::Array(items)) => {
-            let index: usize = key.parse().expect("an index");
-            items[index] = value;
-        }
-        other => panic!("{at}: {other:?}"),
-    }
 }
 
 #[test]
