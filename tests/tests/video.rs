@@ -16,9 +16,11 @@ use skycell_tests::server::target_dir;
 use skycell_tests::viewer::camera;
 use skycell_tests::{Browser, PATIENCE, Server};
 
-/// How far a decoded picture may be from the exact one, in the mean over channels, of 255: colours at half the resolution cost
-/// about 0.4, the codec at its full rate less than 1; another range or matrix of colours costs 6 and more.
+/// How far a decoded picture may be from the exact one, in the mean over channels, of 255. Colours at half the resolution cost
+/// 0.8 at this size and the codec 0.5; another range of colours costs 7.7.
 const DIFFERENCE_MAX: f64 = 2.0;
+/// The same of pictures of two recordings: the sky has gained samples between them.
+const RECORDED_DIFFERENCE_MAX: f64 = 4.0;
 
 fn mean_difference(a: &RgbImage, b: &RgbImage) -> anyhow::Result<f64> {
     ensure!(a.dimensions() == b.dimensions());
@@ -197,7 +199,11 @@ async fn a_recorded_video_shows_what_exact_pictures_show_and_is_kept_as_it_came(
         let video_picture = picture("H264", &video.file)?;
         let difference = mean_difference(&video_picture, &picture("Png", &exact.file)?)?;
         println!("{}: {difference:.3} of 255", video.file);
-        assert!(difference < DIFFERENCE_MAX, "{}: {difference}", video.file);
+        assert!(
+            difference < RECORDED_DIFFERENCE_MAX,
+            "{}: {difference}",
+            video.file
+        );
     }
     let raw = std::fs::read(scratch.path().join("H264/video.h264"))?;
     let mut decoder = openh264::decoder::Decoder::new()?;

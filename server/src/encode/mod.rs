@@ -33,6 +33,7 @@ use skycell_protocol::frame::FRAME_HEADER_BYTES;
 
 /// Viewers whose frames wait for an encoder, in the order in which they are served.
 type Turns = Arc<Mutex<VecDeque<Arc<Viewer>>>>;
+
 /// The exact picture of a view that rests may keep a line busy for this long that carries no more than the video's rate:
 /// whoever turns meanwhile waits for it. It has about a second's worth of the full rate.
 const EXACT_MAX_S: f64 = 2.0;

@@ -254,8 +254,8 @@ pub(super) fn run(arguments: &CodecArguments) -> anyhow::Result<()> {
         let costs = FrameCosts::default();
         let rendered =
             still.render_frames(*size, &settings, &frames, costs, |index, display, _| {
-                let is_compared =
-                    ((index + 1) as u32).is_multiple_of(arguments.compared_every) || index + 1 == frames.len();
+                let is_compared = ((index + 1) as u32).is_multiple_of(arguments.compared_every)
+                    || index + 1 == frames.len();
                 let taken = studied
                     .iter_mut()
                     .try_for_each(|one| one.take(&display, is_compared));
