@@ -98,9 +98,9 @@ fn worst_share(
 ) -> (f64, (usize, usize)) {
     let mut worst = (0.0, (0, 0));
     for pixel in 0..pixels() {
-        for channel in 0..3 {
+        for (channel, white) in WHITE.into_iter().enumerate() {
             let behind = f64::from(bare.linear[4 * pixel + channel]);
-            let colour = f64::from(clouds.radiance(pixel)[channel] * WHITE[channel]);
+            let colour = f64::from(clouds.radiance(pixel)[channel] * white);
             let over = f64::from(clouds.transmittance(pixel)) * behind + colour;
             let off = (over - f64::from(picture.linear[4 * pixel + channel])).abs();
             let share = off / budget(clouds, pixel, channel, behind);

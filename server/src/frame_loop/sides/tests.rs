@@ -70,10 +70,11 @@ impl Driven {
         self.renderer.viewers[&CLIMBER].kind
     }
 
-    /// Waits for what is made on another thread.
+    /// Waits for what is made on another thread for the place where the climber is.
     fn wait_for_pipelines(&mut self) {
         let begun = Instant::now();
-        let sides = [Side::Within, Side::Above];
+        let altitude_m = self.renderer.viewers[&CLIMBER].view.camera.position_m()[1];
+        let sides = self.renderer.sides_about(altitude_m);
         while !(self
             .renderer
             .side_keys(&self.renderer.scene.clone(), &sides))
