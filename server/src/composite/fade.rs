@@ -29,6 +29,17 @@ pub fn fade_key_of(format: PictureFormat) -> PipelineKey {
     }
 }
 
+/// How two pictures are mixed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mix {
+    /// Share of the new picture.
+    pub share: f64,
+    /// Squares of 2^`dither_shift` pixels are rounded alike.
+    pub dither_shift: u32,
+    /// Pre-exposure of the new picture in that of the old one, where they show clouds alone.
+    pub old_scale: f32,
+}
+
 /// A second picture of a viewer, that of the cell that it leaves, and its way into the first.
 #[derive(Debug)]
 pub struct PictureFade {
@@ -64,18 +75,14 @@ impl PictureFade {
         &self.old
     }
 
-    /// Records the mix into the new picture, after both were composited. `share` is that of the new one; squares of
-    /// 2^`dither_shift` pixels are rounded alike. `old_scale`: pre-exposure of the new picture in that of the old one, where
-    /// they show clouds alone.
+    /// Records the mix into the new picture, after both were composited.
     pub fn record(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         timing: &mut TimingRing,
         pipelines: &Pipelines,
-        share: f64,
-        dither_shift: u32,
-        old_scale: f32,
+        mix: Mix,
     ) {
         let Some(pipeline) = pipelines.get(fade_key_of(self.old.format())) else {
             return;
@@ -83,12 +90,12 @@ impl PictureFade {
         let (eye_size, eyes) = self.old.eyes();
         let (width, height) = (eye_size.width() * eyes as u32, eye_size.height());
         let fade = layout::Fade {
-            share: share.clamp(0.0, 1.0) as f32,
+            share: mix.share.clamp(0.0, 1.0) as f32,
             width,
             height,
-            dither_shift,
+            dither_shift: mix.dither_shift,
             eye_width: eye_size.width(),
-            old_scale,
+            old_scale: mix.old_scale,
         };
         gpu.queue
             .write_buffer(&self.uniform, 0, bytemuck::bytes_of(&fade));
@@ -147,7 +154,12 @@ mod tests {
         let label = wgpu::CommandEncoderDescriptor { label: None };
         let mut encoder = gpu.device.create_command_encoder(&label);
         // What the old picture tells is twice as much where the new one's pre-exposure is twice as high.
-        fade.record(&gpu, &mut encoder, &mut timing, &pipelines, 0.25, 0, 2.0);
+        let mix = Mix {
+            share: 0.25,
+            dither_shift: 0,
+            old_scale: 2.0,
+        };
+        fade.record(&gpu, &mut encoder, &mut timing, &pipelines, mix);
         gpu.queue.submit([encoder.finish()]);
         let mixed = read_buffer_blocking(&gpu, picture.pixels()).expect("pixels");
         // Opacities 0.75 · 0.5 at 4 km and 0.25 · 1 at 10 km: (1.5 + 2.5) / 0.625 km.

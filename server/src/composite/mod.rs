@@ -5,7 +5,7 @@ mod fade;
 mod inspect;
 
 pub use clouds::{CLOUDS_PIXEL_BYTES, clouds_key, pre_exposure};
-pub use fade::{PictureFade, fade_key, fade_key_of};
+pub use fade::{Mix, PictureFade, fade_key, fade_key_of};
 pub use inspect::{InspectionInputs, Inspections, inspect_key, shown_key, shown_of};
 
 use crate::cache::ViewFrustum;

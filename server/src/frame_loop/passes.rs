@@ -8,7 +8,7 @@ use super::transitions::Stage;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{SphereId, TileRequest, TileUpdate};
 use crate::clock::{saturating_us, unix_now_us};
-use crate::composite::{Picture, PictureFade, dither_shift, shown_key};
+use crate::composite::{Mix, Picture, PictureFade, dither_shift, shown_key};
 use crate::gpu::{GpuError, PipelineKey, TimedPass};
 use crate::march::{
     ActiveLayer, BATCH_TILES_MAX, MarchedPixels, PixelStrip, TexelGroup, layer_features,
@@ -349,10 +349,12 @@ impl SkyRenderer {
             && let Some(fade) = &left.fade
         {
             let (gpu, pipelines) = (&self.gpu, &self.pipelines);
-            let (share, shift) = (left.way.share(), dither_shift(viewer.view.codec));
-            let old_scale = self.pre_exposure_in(viewer.cell) / self.pre_exposure_in(left.from);
-            let timing = &mut self.timing;
-            fade.record(gpu, encoder, timing, pipelines, share, shift, old_scale);
+            let mix = Mix {
+                share: left.way.share(),
+                dither_shift: dither_shift(viewer.view.codec),
+                old_scale: self.pre_exposure_in(viewer.cell) / self.pre_exposure_in(left.from),
+            };
+            fade.record(gpu, encoder, &mut self.timing, pipelines, mix);
             self.counters.dispatches += 1;
         }
         self.record_renderer_fade(encoder, viewer);

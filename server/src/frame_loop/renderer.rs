@@ -19,7 +19,7 @@ use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
 use crate::cells::{CellLimit, Cells};
 use crate::clock;
 use crate::composite::{
-    Inspections, Picture, PictureFade, clouds_key, composite_key, fade_key, ground_key,
+    Inspections, Mix, Picture, PictureFade, clouds_key, composite_key, fade_key, ground_key,
     with_parallax, with_shared_background,
 };
 use crate::config::{FrameFilter, PlacedCell, RenderConfig};
@@ -478,7 +478,12 @@ impl SkyRenderer {
                 label: Some("fade"),
             });
         let (gpu, pipelines) = (&self.gpu, &self.pipelines);
-        fade.record(gpu, &mut encoder, &mut self.timing, pipelines, 0.5, 0, 1.0);
+        let mix = Mix {
+            share: 0.5,
+            dither_shift: 0,
+            old_scale: 1.0,
+        };
+        fade.record(gpu, &mut encoder, &mut self.timing, pipelines, mix);
         self.timing.resolve(&mut encoder);
         self.submit(encoder);
         self.timing.submitted();

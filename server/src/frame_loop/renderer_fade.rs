@@ -3,7 +3,7 @@
 use super::renderer::SkyRenderer;
 use super::transitions::PICTURES_BYTES_MAX;
 use super::viewers_on_device::ActiveViewer;
-use crate::composite::{PictureFade, dither_shift};
+use crate::composite::{Mix, PictureFade, dither_shift};
 use skycell_protocol::{Camera, ViewerId};
 
 /// From one to the other a viewer at rest goes in this time, s.
@@ -94,10 +94,12 @@ impl SkyRenderer {
     ) {
         if let Some(way) = &viewer.renderer_fade {
             let (gpu, pipelines) = (&self.gpu, &self.pipelines);
-            let shift = dither_shift(viewer.view.codec);
-            let old_scale = self.pre_exposure_in(viewer.cell) / way.pre_exposure;
-            let timing = &mut self.timing;
-            (way.fade).record(gpu, encoder, timing, pipelines, way.share, shift, old_scale);
+            let mix = Mix {
+                share: way.share,
+                dither_shift: dither_shift(viewer.view.codec),
+                old_scale: self.pre_exposure_in(viewer.cell) / way.pre_exposure,
+            };
+            (way.fade).record(gpu, encoder, &mut self.timing, pipelines, mix);
             self.counters.dispatches += 1;
         }
     }
