@@ -148,7 +148,9 @@ fn rays_that_are_held_above_the_horizon_are_found() -> Outcome {
     let camera = Camera::new([0.0, 8_000.0, 0.0], 0.0, -25.0, 60.0)?;
     still.plant(Some(|path, source| match path {
         "march/texel_ray.wgsl" => {
-            source.replace("direction, proxy.from_above > 0u);", "direction, false);")
+            let lowered = "let goes_down = proxy.from_above > 0u;";
+            assert!(source.contains(lowered), "{path} has no {lowered}");
+            source.replace(lowered, "let goes_down = false;")
         }
         _ => source.to_owned(),
     }))?;
