@@ -763,15 +763,17 @@ impl FrameLoop {
             .fold(0.0, f64::max)
     }
 
-    /// One strip for the first screen-space viewer that lacks samples; a complete sample becomes a frame.
+    /// One strip for a viewer with rays of its own that lacks samples; a complete sample becomes a frame.
     fn march_screen_space(&mut self, budget: Duration) -> bool {
-        let ids: Vec<ViewerId> = self
+        let mut ids: Vec<ViewerId> = self
             .renderer
             .viewers
             .iter()
             .filter(|(_, viewer)| self.renderer.marches_pixels(viewer))
             .map(|(id, _)| *id)
             .collect();
+        // Whoever has waited longest: one that moves all the time has always something to march.
+        ids.sort_by_key(|id| self.paces.get(id).and_then(|pace| pace.composited));
         for id in ids {
             let room = self
                 .renderer
