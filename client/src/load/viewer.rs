@@ -148,7 +148,9 @@ pub(super) async fn run_viewer(
             _ = inputs.tick(), if turning.is_some() => {
                 if let Some(turning) = &mut turning {
                     let camera = place.ring.camera(place.number, place.overlap, turning.angle_deg());
-                    turning.sent(connection.send_camera(camera).await?);
+                    // The server may have it before this task is told that it was sent.
+                    let at = Instant::now();
+                    turning.sent(connection.send_camera(camera).await?, at);
                 }
             }
             event = connection.next_event() => match event? {
@@ -219,11 +221,11 @@ impl Turning {
         self.begun.elapsed().as_secs_f64() * self.speed_deg_per_s
     }
 
-    fn sent(&mut self, input: InputSequence) {
+    fn sent(&mut self, input: InputSequence, at: Instant) {
         if self.inputs.len() >= INPUTS_IN_FLIGHT_MAX {
             self.inputs.pop_front();
         }
-        self.inputs.push_back((input, Instant::now()));
+        self.inputs.push_back((input, at));
     }
 
     /// Counts a frame; returns when the input was sent that it is the first to show.

@@ -127,8 +127,10 @@ async fn run(
             _ = inputs.tick(), if doing == Doing::Turns => {
                 let phase = begun.elapsed().as_secs_f64() / SWING_S * std::f64::consts::TAU;
                 let yaw_deg = SWING_DEG * phase.sin();
+                // The server may have it before this task is told that it was sent.
+                let at = Instant::now();
                 let input = connection.send_camera(camera([0.0, 2.0, 0.0], yaw_deg, 20.0)?).await?;
-                sent.push_back((input, Instant::now()));
+                sent.push_back((input, at));
             }
             event = connection.next_event() => {
                 let Event::Frame(frame) = event? else { continue };

@@ -5,6 +5,8 @@
 const LADDER: [f64; 8] = [1.0, 0.85, 0.7, 0.55, 0.42, 0.32, 0.24, 0.18];
 /// The lowest quality, unless less is wished.
 const QUALITY_LEAST: u8 = 12;
+/// A step down makes a picture shorter by this at least.
+const STEP_LEAST_BYTES: f64 = 1.25;
 /// A step up makes a picture so many times as long at most.
 const STEP_BYTES: f64 = 1.5;
 /// Pictures must have been short enough for this long before a step up.
@@ -49,18 +51,19 @@ impl JpegLadder {
         let bytes = bytes as f64;
         if bytes > turn_bytes {
             self.short_since_us = None;
-            if self.step + 1 < LADDER.len() {
-                self.step += 1;
+            // What was tried was too much: back to what it was, and wait longer before the next attempt.
+            if let Some(stepped_us) = self.stepped_up_us.take()
+                && now_us.saturating_sub(stepped_us) < 2 * STEP_UP_AFTER_US
+            {
+                self.step = (self.step + 1).min(LADDER.len() - 1);
+                self.step_up_after_us = (2 * self.step_up_after_us).min(STEP_UP_AFTER_MAX_US);
+                return;
             }
-            // What was tried was too much: wait longer before the next attempt.
-            if let Some(stepped_us) = self.stepped_up_us.take() {
-                let held_us = now_us.saturating_sub(stepped_us);
-                self.step_up_after_us = if held_us < 2 * STEP_UP_AFTER_US {
-                    (2 * self.step_up_after_us).min(STEP_UP_AFTER_MAX_US)
-                } else {
-                    STEP_UP_AFTER_US
-                };
-            }
+            self.step_up_after_us = STEP_UP_AFTER_US;
+            // As many steps as it lacks, at once: what is too long now makes all that follows old.
+            let lacks = (bytes / turn_bytes.max(1.0)).ln() / STEP_LEAST_BYTES.ln();
+            let steps = (lacks.ceil() as usize).max(1);
+            self.step = (self.step + steps).min(LADDER.len() - 1);
             return;
         }
         if self.step == 0 || bytes * STEP_BYTES > turn_bytes {

@@ -20,7 +20,7 @@ pub use ladder::JpegLadder;
 /// Deliveries that a link is judged by: half a second at 15 frames a second.
 const DELIVERIES: usize = 8;
 /// Fewer say nothing.
-const DELIVERIES_LEAST: usize = 3;
+const DELIVERIES_LEAST: usize = 2;
 /// Round trips of which the shortest counts as that of an empty link.
 const ROUND_TRIPS: usize = 8;
 /// What a busy machine may add to a delivery, so that it is not taken for the link.
