@@ -144,9 +144,10 @@ fn only_a_viewer_in_a_layer_has_a_near_part_of_that_layer_alone() {
     assert!(passes(&inventory, "cache") > 0 && passes(&inventory, "screen-space") > 0);
     assert!(atlas_bytes(&inventory) > 1 << 20, "{inventory:?}");
     assert!(reads["composite"].contains("page_table"), "{reads:?}");
-    // Five values of a pixel of one layer.
+    // Five values of a pixel of one layer, which the allocator rounds up.
     let near = inventory.resources["marched pixels"].bytes;
-    assert_eq!(near, 32 * 16 * 5 * 4);
+    let one_layer = 32 * 16 * 5 * 4;
+    assert!((one_layer..one_layer + 256).contains(&near), "{near}");
 }
 
 #[test]
