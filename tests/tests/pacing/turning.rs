@@ -122,6 +122,10 @@ async fn run(
     let mut sent: VecDeque<(InputSequence, Instant)> = VecDeque::new();
     loop {
         let doing = *orders.borrow_and_update();
+        if doing == Doing::Leaves {
+            connection.close().await;
+            return Ok(());
+        }
         tokio::select! {
             _ = orders.changed() => {}
             _ = inputs.tick(), if doing == Doing::Turns => {
@@ -157,10 +161,6 @@ async fn run(
                     ..Acknowledgement::of(frame.header.sequence)
                 }).await?;
             }
-        }
-        if doing == Doing::Leaves {
-            connection.close().await;
-            return Ok(());
         }
     }
 }
