@@ -23,7 +23,10 @@ fn write(name: &str, map: &GreyMap, format: MapFileFormat) {
     let folder = noise_dir();
     std::fs::create_dir_all(&folder).expect("a folder");
     let bytes = map.encode(format).expect("a file");
-    std::fs::write(folder.join(name), bytes).expect("written");
+    // By a name of its own first: whoever reads the map meanwhile finds the old one or the new one.
+    let whole = tempfile::NamedTempFile::new_in(&folder).expect("a file");
+    std::fs::write(whole.path(), bytes).expect("written");
+    whole.persist(folder.join(name)).expect("renamed");
 }
 
 fn random_map(seed: u64, width: u32, height: u32, levels: f64) -> GreyMap {
