@@ -25,9 +25,10 @@ const ANCHOR_RISE_MAX: f64 = 0.5;
 /// Heights above the reference count as this at least, m.
 const SPHERE_HEIGHT_MIN_M: f64 = 100.0;
 
-/// The same about a dome that keeps the far part of a layer, m. Tuned by `--test camera_anywhere`: after a climb by 595 m about
-/// one anchor, tiles that were carried over showed clouds where they had been.
-const ANCHOR_IN_LAYER_MAX_M: f64 = 250.0;
+/// The same about a dome that keeps the far part of a layer, m. Tuned: after a climb by 595 m about one anchor, tiles that were
+/// carried over showed clouds where they had been (`--test camera_anywhere`: FLIP .057 instead of .025); with 250 m new anchors
+/// in the midst of a climb are a step of .045 when it ends (`frame_loop::sides`).
+const ANCHOR_IN_LAYER_MAX_M: f64 = 500.0;
 
 /// Under wind tiles move past the viewers; what they need is looked up this often. At 50 m/s that is 2.5 m.
 const REQUESTS_INTERVAL: Duration = Duration::from_millis(50);
