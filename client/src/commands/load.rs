@@ -195,16 +195,11 @@ async fn soak(arguments: &Arguments) -> anyhow::Result<()> {
     let result = load::soak(&address, &options, &progress, asked_to_stop()).await;
     progress.finish_and_clear();
     let report = result?;
-    let json = serde_json::to_string_pretty(&report)?;
-    match arguments.json.as_deref() {
-        Some(file) if file == Path::new("-") => print_line(&json)?,
-        file => {
-            if let Some(file) = file {
-                std::fs::write(file, json).with_context(|| file.display().to_string())?;
-            }
-            print_line(report.table().trim_end())?;
-        }
-    }
+    tell(
+        arguments.json.as_deref(),
+        &serde_json::to_string_pretty(&report)?,
+        &report.table(),
+    )?;
     anyhow::ensure!(report.is_kept(), "a bar was missed");
     Ok(())
 }
@@ -221,22 +216,28 @@ async fn storm(arguments: &Arguments) -> anyhow::Result<()> {
         size: FrameSize::new(arguments.width, arguments.height)?,
         fps: arguments.fps,
     };
+    let address = arguments.access.address(&arguments.url)?;
     let report = tokio::select! {
-        report = load::storm::run(&arguments.url, &options) => report?,
+        report = load::storm::run(&address, &options) => report?,
         () = asked_to_stop() => anyhow::bail!("interrupted"),
     };
-    let json = serde_json::to_string_pretty(&report)?;
-    match arguments.json.as_deref() {
-        Some(file) if file == Path::new("-") => print_line(&json)?,
-        file => {
-            if let Some(file) = file {
-                std::fs::write(file, json).with_context(|| file.display().to_string())?;
-            }
-            print_line(report.table().trim_end())?;
-        }
-    }
+    tell(
+        arguments.json.as_deref(),
+        &serde_json::to_string_pretty(&report)?,
+        &report.table(),
+    )?;
     anyhow::ensure!(report.is_kept(), "a viewer had no picture in time");
     Ok(())
+}
+
+/// Prints the table, and writes the JSON where `--json` says; to standard output it is the only thing that is written.
+fn tell(file: Option<&Path>, json: &str, table: &str) -> anyhow::Result<()> {
+    match file {
+        Some(file) if file == Path::new("-") => return print_line(json),
+        Some(file) => std::fs::write(file, json).with_context(|| file.display().to_string())?,
+        None => {}
+    }
+    print_line(table.trim_end())
 }
 
 fn save(file: &Path, report: &LoadReport) -> anyhow::Result<()> {
