@@ -20,6 +20,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
 
+use super::linger::{Lingerers, Lingering};
 use super::tls::Tls;
 use crate::access::{Gate, Peer, PeerPermit, Peers, Refusal};
 use crate::config::Config;
@@ -86,6 +87,7 @@ pub async fn serve(
 ) {
     let connections = Arc::new(Semaphore::new(CONNECTIONS_MAX));
     let peers = Arc::new(Peers::default());
+    let lingerers = Lingerers::default();
     let running = TaskTracker::new();
     loop {
         let accepted = tokio::select! {
@@ -111,7 +113,7 @@ pub async fn serve(
             shutdown: shutdown.clone(),
             _permits: (permit, of_peer),
         };
-        running.spawn(connection.run(stream));
+        running.spawn(connection.run(lingerers.guard(stream)));
     }
     drop(listener);
     running.close();
@@ -128,7 +130,7 @@ struct Connection {
 }
 
 impl Connection {
-    async fn run(self, stream: TcpStream) {
+    async fn run(self, stream: Lingering) {
         let Some(tls) = &self.settings.tls else {
             return self.speak(Either::Left(stream)).await;
         };
@@ -151,7 +153,7 @@ impl Connection {
     }
 
     /// Speaks HTTP until the connection has ended or become a WebSocket.
-    async fn speak(self, stream: Either<TcpStream, TlsStream<TcpStream>>) {
+    async fn speak(self, stream: Either<Lingering, TlsStream<Lingering>>) {
         let peer = self.peer;
         let service = self.router.map_request(move |request: Request<Incoming>| {
             let mut request = request.map(Body::new);

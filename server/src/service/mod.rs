@@ -6,6 +6,7 @@
 //! [`Service::shutdown`] and [`crate::frame_loop::interface::RenderCommand::Shutdown`].
 
 mod http;
+mod linger;
 mod tls;
 
 use std::io;

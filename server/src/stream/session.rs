@@ -159,8 +159,7 @@ fn welcome(viewer: &Viewer, context: &StreamContext) -> Welcome {
     }
 }
 
-/// Tells the client why, closes, and gives it a moment to hear it: what is closed while the
-/// client's data is unread is torn down before the client can read the reason.
+/// Tells the client why, closes, and gives it a moment to close too.
 pub(super) async fn say_goodbye(
     mut sink: SplitSink<WebSocket, Message>,
     mut stream: SplitStream<WebSocket>,
@@ -193,18 +192,9 @@ pub(super) async fn say_goodbye(
     ) {
         return;
     }
-    let until = tokio::time::Instant::now() + CLOSE_TIMEOUT;
-    loop {
-        match tokio::time::timeout_at(until, stream.next()).await {
-            Ok(Some(Ok(_))) => {}
-            // After a message that is too large nothing more can be read, but the client can.
-            Ok(Some(Err(_))) => {
-                tokio::time::sleep_until(until).await;
-                return;
-            }
-            Ok(None) | Err(_) => return,
-        }
-    }
+    // Until the client closes too. After an error nothing more can be read here: the socket itself lingers.
+    let closed = async { while let Some(Ok(_)) = stream.next().await {} };
+    let _ = tokio::time::timeout(CLOSE_TIMEOUT, closed).await;
 }
 
 /// Tells the renderer that the viewer is gone, however the session ends.

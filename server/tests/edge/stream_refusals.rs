@@ -1,5 +1,7 @@
 //! Bad input of each kind: each gets its clear error, and the service goes on.
 
+use std::time::Duration;
+
 use serde_json::{Value, json};
 use skycell_protocol::INBOUND_MESSAGE_MAX_BYTES;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -174,6 +176,19 @@ async fn what_breaks_the_protocol_is_told_and_closed() {
     )
     .await;
     ends_with(joined().await, too_large(), 1009, "too-large").await;
+    world.goes_on().await;
+}
+
+/// A socket that is closed with something unread is reset, and whoever then answers the ping that came first never gets to
+/// the reason.
+#[tokio::test(flavor = "multi_thread")]
+async fn why_a_message_was_refused_is_heard_by_who_listens_late() {
+    let world = start().await;
+    let mut client = Client::join(world.address()).await;
+    let too_large = Message::text(" ".repeat(4 * INBOUND_MESSAGE_MAX_BYTES));
+    client.send(too_large).await.expect("sent");
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    assert_eq!(client.end().await, (1009, Some("too-large".to_owned())));
     world.goes_on().await;
 }
 
