@@ -1,7 +1,7 @@
 //! Pictures for comparisons, and how far two are apart.
 
+use crate::picture::without_alpha;
 use crate::server::target_dir;
-use anyhow::Context;
 use image::RgbImage;
 use skycell_protocol::{Camera, FrameSize, RendererKind};
 use skycell_server::config::{FrameFilter, RenderConfig};
@@ -61,11 +61,6 @@ pub fn picture(recipe: Recipe, size: FrameSize) -> anyhow::Result<(RgbImage, u64
         ..StillSettings::default()
     };
     let made = still.render_with(camera, size, &settings, |_| {})?;
-    let rgb = made
-        .display
-        .chunks_exact(4)
-        .flat_map(|p| [p[0], p[1], p[2]]);
-    let picture = RgbImage::from_raw(size.width(), size.height(), rgb.collect())
-        .context("a picture has all of its rows")?;
+    let picture = without_alpha(&made.display, size)?;
     Ok((picture, still.totals().texels_updated))
 }

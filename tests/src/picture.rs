@@ -2,9 +2,10 @@
 
 use std::collections::HashSet;
 
-use anyhow::ensure;
+use anyhow::{Context, ensure};
 use image::RgbImage;
 use skycell_client::Frame;
+use skycell_protocol::FrameSize;
 
 /// The decoded picture of a frame, of the size that its header says.
 ///
@@ -22,6 +23,16 @@ pub fn decoded(frame: &Frame) -> anyhow::Result<RgbImage> {
         picture.dimensions()
     );
     Ok(picture)
+}
+
+/// What a renderer gives as red, green, blue and alpha, without alpha.
+///
+/// # Errors
+/// When it has other rows than a picture of that size.
+pub fn without_alpha(rgba: &[u8], size: FrameSize) -> anyhow::Result<RgbImage> {
+    let rgb = rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]);
+    RgbImage::from_raw(size.width(), size.height(), rgb.collect())
+        .with_context(|| format!("{} bytes are no picture of that size", rgba.len()))
 }
 
 /// How many colours a picture has.

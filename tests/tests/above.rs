@@ -1,6 +1,6 @@
 //! Viewers above and between layers: what they see in a cache whose rays go down against rays of their own.
 
-use anyhow::{Context, ensure};
+use anyhow::ensure;
 use image::RgbImage;
 use image::imageops::thumbnail;
 use serde_json::json;
@@ -9,6 +9,7 @@ use skycell_server::config::RenderConfig;
 use skycell_server::frame_loop::{StillRenderer, StillSettings};
 use skycell_server::march::MarchSettings;
 use skycell_tests::accuracy::distance;
+use skycell_tests::picture::without_alpha;
 use skycell_tests::server::target_dir;
 use std::sync::Arc;
 
@@ -57,11 +58,7 @@ fn shown(
     let size = FrameSize::new(SIZE[0], SIZE[1])?;
     let before = still.totals();
     let made = still.render_with(camera, size, &settings, |_| {})?;
-    let rgb = made
-        .display
-        .chunks_exact(4)
-        .flat_map(|p| [p[0], p[1], p[2]]);
-    let picture = RgbImage::from_raw(SIZE[0], SIZE[1], rgb.collect()).context("all rows")?;
+    let picture = without_alpha(&made.display, size)?;
     let after = still.totals();
     Ok(Shown {
         picture,

@@ -11,7 +11,7 @@ use skycell_server::config::RenderConfig;
 use skycell_server::frame_loop::{StillRenderer, StillSettings};
 use skycell_server::march::MarchSettings;
 use skycell_tests::accuracy::distance;
-use skycell_tests::picture::decoded;
+use skycell_tests::picture::{decoded, without_alpha};
 use skycell_tests::server::target_dir;
 use skycell_tests::{Server, ServerOptions, Viewer};
 use std::sync::Arc;
@@ -67,11 +67,7 @@ fn by_rays(still: &mut StillRenderer, camera: Camera, quality: &Value) -> RgbIma
     let picture = still
         .render_with(camera, size(), &settings, |_| {})
         .expect("a picture");
-    let rgb = picture
-        .display
-        .chunks_exact(4)
-        .flat_map(|p| [p[0], p[1], p[2]]);
-    RgbImage::from_raw(size().width(), size().height(), rgb.collect()).expect("as many pixels")
+    without_alpha(&picture.display, size()).expect("as many pixels")
 }
 
 /// Share of pixels that are wholly black.

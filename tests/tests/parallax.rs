@@ -1,6 +1,5 @@
 //! Viewers beside the reference of their cell: what they see in its cache against rays of their own.
 
-use anyhow::Context;
 use image::RgbImage;
 use serde_json::json;
 use skycell_protocol::{Camera, FrameSize, RendererKind, Scene};
@@ -8,6 +7,7 @@ use skycell_server::config::RenderConfig;
 use skycell_server::frame_loop::{StillRenderer, StillSettings};
 use skycell_shaders::SourceEdit;
 use skycell_tests::accuracy::{Distance, distance};
+use skycell_tests::picture::without_alpha;
 use skycell_tests::server::target_dir;
 use std::sync::Arc;
 
@@ -25,11 +25,7 @@ fn picture(still: &mut StillRenderer, settings: &StillSettings) -> anyhow::Resul
     let camera = Camera::new([0.0, 2.0, 0.0], 0.0, 25.0, 60.0)?;
     let size = FrameSize::new(SIZE[0], SIZE[1])?;
     let made = still.render_with(camera, size, settings, |_| {})?;
-    let rgb = made
-        .display
-        .chunks_exact(4)
-        .flat_map(|p| [p[0], p[1], p[2]]);
-    RgbImage::from_raw(SIZE[0], SIZE[1], rgb.collect()).context("a picture has all of its rows")
+    without_alpha(&made.display, size)
 }
 
 fn cached(offset_m: [f64; 3], parallax_steps: u32) -> StillSettings {

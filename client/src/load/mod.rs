@@ -33,7 +33,7 @@ pub use self::ring::ViewerRing;
 pub use self::soak::report::SoakReport;
 pub use self::soak::{SoakOptions, soak};
 pub use self::storm::{Storm, StormOptions, StormReport, StormRound};
-pub use self::table::table;
+pub use self::table::{STAGES, table};
 pub use self::viewer::{TimesMs, TurningFigures, ViewerFigures};
 use self::wind::StilledWind;
 use crate::unix_time::unix_us_now;

@@ -170,8 +170,8 @@ fn stages(report: &LoadReport) -> String {
     text
 }
 
-/// Stages of a frame's way in their order.
-const STAGES: [&str; 11] = [
+/// Stages of a frame's way in their order, as `skycell_frame_stage_seconds` and reports name them.
+pub const STAGES: [&str; 11] = [
     "input",
     "march_wait",
     "composite",

@@ -8,7 +8,6 @@ use super::reference::{
 };
 use super::store::{key_of, write_whole};
 use super::trade::version;
-use crate::config::RenderConfig;
 use crate::frame_loop::{RayPicture, StillRay, StillRenderer, StillSettings};
 use crate::march::{CellFrame, MarchSettings};
 use crate::quality::QualityTable;
@@ -102,10 +101,7 @@ pub(super) fn run(arguments: &GalleryArguments) -> anyhow::Result<()> {
             .unwrap_or_default()
     };
     let folders = Folders::of(None, arguments.noise_cache_dir.as_ref());
-    let config = RenderConfig {
-        cache_memory_mib: CACHE_MEMORY_MIB,
-        ..RenderConfig::new(folders.noise.clone())
-    };
+    let config = folders.render_config(CACHE_MEMORY_MIB);
     let mut still: Option<StillRenderer> = None;
     let parts: &[Part] = if arguments.without_pairs {
         &[Part::Picture]

@@ -4,8 +4,7 @@ use super::arguments::parsed_size;
 use super::metrics::{ShownErrors, shown_errors};
 use super::progress::Progress;
 use super::reference::without_alpha;
-use super::store::write_whole;
-use crate::config::RenderConfig;
+use super::store::{write_json, write_whole};
 use crate::frame_loop::{StillPicture, StillRenderer, StillSettings};
 use crate::march::{BandEnds, MarchSettings, ProxySetup};
 use crate::render_command::{Folders, read_scene};
@@ -167,8 +166,7 @@ pub(super) fn run(arguments: &ProxiesArguments) -> anyhow::Result<()> {
         .with_context(|| format!("--out {} cannot be made", out.display()))?;
     let shown = measured(arguments)?;
     let table = table(&shown);
-    let text = format!("{:#}\n", serde_json::to_value(&shown)?);
-    write_whole(&out.join("proxies.json"), text.as_bytes())?;
+    write_json(&out.join("proxies.json"), &shown)?;
     write_whole(&out.join("proxies.md"), table.as_bytes())?;
     println!("{table}");
     Ok(())
@@ -180,12 +178,7 @@ fn measured(arguments: &ProxiesArguments) -> anyhow::Result<Vec<Shown>> {
         arguments.scene.as_deref(),
         arguments.noise_cache_dir.as_ref(),
     );
-    let config = RenderConfig {
-        cache_memory_mib: CACHE_MEMORY_MIB,
-        grids_dir: folders.grids.clone(),
-        maps_dir: folders.grids.clone(),
-        ..RenderConfig::new(folders.noise.clone())
-    };
+    let config = folders.render_config(CACHE_MEMORY_MIB);
     let mut still = StillRenderer::new(config, Arc::new(scene), &[])?;
     let eye = Camera::new(
         [0.0, EYE_M, 0.0],

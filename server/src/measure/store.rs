@@ -209,6 +209,15 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
     write().map_err(|error| StoreError::of("write", path, error))
 }
 
+/// Writes a report as JSON that people can read, too, its keys in the order of the alphabet.
+///
+/// # Errors
+/// When it is no JSON or cannot be written.
+pub fn write_json(path: &Path, report: &impl Serialize) -> anyhow::Result<()> {
+    let text = format!("{:#}\n", serde_json::to_value(report)?);
+    Ok(write_whole(path, text.as_bytes())?)
+}
+
 /// Hash of parts that a result depends on.
 #[must_use]
 pub fn key_of(parts: &[&str]) -> String {

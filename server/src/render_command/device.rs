@@ -3,7 +3,7 @@
 use super::arguments::{Approximation, Chosen, Interpolation, RenderArguments, StillKind};
 use super::rays::{RayLine, WorldRay};
 use super::{Folders, Output, Target, processor, progress_bar, triple, write_exr, write_rays};
-use crate::config::{PlacedCell, RenderConfig};
+use crate::config::PlacedCell;
 use crate::frame_loop::{
     LayerFigures, RayFigures, RayPicture, StillPicture, StillRay, StillRenderer, StillSettings,
 };
@@ -15,6 +15,9 @@ use skycell_protocol::{Camera, FrameSize, RendererKind, Scene, Show, Stereo};
 use skycell_reference::phase::one_minus_mu;
 use skycell_reference::{Ray, RayResult, World};
 use std::sync::Arc;
+
+/// GPU memory for the cache.
+const CACHE_MEMORY_MIB: u32 = 2048;
 
 fn settings(
     arguments: &RenderArguments,
@@ -120,12 +123,7 @@ pub(super) fn run(
         }],
         None => Vec::new(),
     };
-    let config = RenderConfig {
-        cache_memory_mib: 2048,
-        grids_dir: folders.grids.clone(),
-        maps_dir: folders.grids.clone(),
-        ..RenderConfig::new(folders.noise.clone())
-    };
+    let config = folders.render_config(CACHE_MEMORY_MIB);
     let scene = Arc::new(scene);
     let mut still = StillRenderer::new(config, scene.clone(), &placed)?;
     still.advance_time(arguments.time_s);

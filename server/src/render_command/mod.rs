@@ -8,6 +8,7 @@ mod rays;
 
 pub use arguments::{Approximation, Chosen, Interpolation, RenderArguments, StillKind, SunChoice};
 
+use crate::config::RenderConfig;
 use crate::march::EXPOSURE_AT_ZERO_EV;
 use crate::scene::{Preset, preset, presets};
 use anyhow::{Context, bail, ensure};
@@ -48,6 +49,16 @@ impl Folders {
             grids: scene
                 .and_then(Path::parent)
                 .map_or_else(|| PathBuf::from("."), Path::to_owned),
+        }
+    }
+
+    /// A renderer of its own with these, and with so much memory for caches.
+    pub(crate) fn render_config(&self, cache_memory_mib: u32) -> RenderConfig {
+        RenderConfig {
+            cache_memory_mib,
+            grids_dir: self.grids.clone(),
+            maps_dir: self.grids.clone(),
+            ..RenderConfig::new(self.noise.clone())
         }
     }
 }

@@ -6,6 +6,7 @@ use skycell_protocol::{Camera, Codec, FrameSize, Scene};
 use skycell_server::config::RenderConfig;
 use skycell_server::encode::encode_after;
 use skycell_server::frame_loop::{StillRenderer, StillSettings};
+use skycell_tests::picture::without_alpha;
 use std::sync::Arc;
 
 const SIZE: [u32; 2] = [512, 288];
@@ -142,11 +143,7 @@ fn the_clear_sky_at_dusk_has_no_bands_in_eight_bits() {
             let picture = still
                 .render_with(camera, size, &settings, |_| {})
                 .expect("a picture");
-            let rgb = picture
-                .display
-                .chunks_exact(4)
-                .flat_map(|p| [p[0], p[1], p[2]]);
-            RgbImage::from_raw(SIZE[0], SIZE[1], rgb.collect()).expect("as many pixels")
+            without_alpha(&picture.display, size).expect("as many pixels")
         };
         let plain = look(Some(undithered), Codec::Png, NEAR);
         let dithered = look(None, Codec::Png, NEAR);

@@ -3,25 +3,11 @@
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
+use skycell_client::load::STAGES;
 use skycell_tests::Server;
 
 use crate::Outcome;
 use crate::turning::{Doing, Turning};
-
-/// What the service measures, in the order of the way.
-const STAGES: [&str; 11] = [
-    "input",
-    "march_wait",
-    "composite",
-    "readback",
-    "encode_wait",
-    "encode",
-    "to_socket",
-    "network",
-    "decode",
-    "present",
-    "motion_to_photon",
-];
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_stages_of_a_frame_add_up_to_what_its_viewer_measures() -> Outcome {

@@ -9,9 +9,9 @@ use super::arguments::parsed_size;
 use super::metrics::{ShownErrors, shown_errors};
 use super::progress::{Progress, spoken};
 use super::reference::without_alpha;
-use super::store::write_whole;
+use super::store::write_json;
 use crate::cache::AgeingRates;
-use crate::config::{FrameFilter, RenderConfig};
+use crate::config::FrameFilter;
 use crate::frame_loop::{AuditedTexel, LivingViewers, StillRenderer, StillSettings};
 use crate::march::MarchSettings;
 use crate::render_command::{Folders, read_scene};
@@ -119,8 +119,7 @@ pub(super) struct AgeingReport {
 /// For a folder that cannot be written, an unreadable scene, a missing device.
 pub(super) fn run(arguments: &AgeingArguments) -> anyhow::Result<()> {
     let report = measured(arguments)?;
-    let text = format!("{:#}\n", serde_json::to_value(&report)?);
-    write_whole(&arguments.out.join("ageing.json"), text.as_bytes())?;
+    write_json(&arguments.out.join("ageing.json"), &report)?;
     if arguments.json {
         println!("{}", serde_json::to_string(&report)?);
         return Ok(());
@@ -286,12 +285,7 @@ fn measured(arguments: &AgeingArguments) -> anyhow::Result<AgeingReport> {
         arguments.scene.as_deref(),
         arguments.noise_cache_dir.as_ref(),
     );
-    let config = RenderConfig {
-        cache_memory_mib: CACHE_MEMORY_MIB,
-        grids_dir: folders.grids.clone(),
-        maps_dir: folders.grids.clone(),
-        ..RenderConfig::new(folders.noise.clone())
-    };
+    let config = folders.render_config(CACHE_MEMORY_MIB);
     let cameras = YAWS_DEG
         .iter()
         .map(|yaw_deg| Camera::new([0.0, EYE_M, 0.0], *yaw_deg, PITCH_DEG, FOV_DEG))

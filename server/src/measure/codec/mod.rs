@@ -9,7 +9,7 @@ mod streams;
 use super::arguments::parsed_size;
 use super::distance::still_of;
 use super::progress::{Progress, spoken};
-use super::store::write_whole;
+use super::store::{write_json, write_whole};
 use crate::encode::video::{KBIT_PER_S_MAX, KBIT_PER_S_MIN};
 use crate::frame_loop::{FrameCosts, StillFrame, StillSettings};
 use crate::march::MarchSettings;
@@ -275,8 +275,7 @@ pub(super) fn run(arguments: &CodecArguments) -> anyhow::Result<()> {
     }
     progress.finish();
     let report = CodecReport::new(still.adapter(), arguments, points);
-    let text = format!("{:#}\n", serde_json::to_value(&report)?);
-    write_whole(&out.join("codec.json"), text.as_bytes())?;
+    write_json(&out.join("codec.json"), &report)?;
     let page_path = out.join("codec.html");
     write_whole(&page_path, page::page(&report).as_bytes())?;
     if arguments.json {

@@ -10,9 +10,8 @@ use super::arguments::{parsed_metres, parsed_size};
 use super::metrics::{ShownErrors, shown_errors};
 use super::progress::{Progress, spoken};
 use super::reference::without_alpha;
-use super::store::{key_of, write_whole};
+use super::store::{key_of, write_json, write_whole};
 use super::trade::version;
-use crate::config::RenderConfig;
 use crate::frame_loop::{FrameCosts, FrameFigures, StillFrame, StillRenderer, StillSettings};
 use crate::render_command::{Folders, read_scene};
 use anyhow::{Context, ensure};
@@ -125,14 +124,12 @@ pub(super) fn run(arguments: &DistanceArguments) -> anyhow::Result<()> {
     let begun = Instant::now();
     let report = measured(arguments)?;
     let out = &arguments.out;
-    let text = format!("{:#}\n", serde_json::to_value(&report)?);
-    write_whole(&out.join("distance.json"), text.as_bytes())?;
+    write_json(&out.join("distance.json"), &report)?;
     let page_path = out.join("distance.html");
     write_whole(&page_path, page::page(&report).as_bytes())?;
     if let Some(path) = &arguments.write_curve {
         let curve = report.curve_file()?;
-        let text = format!("{:#}\n", serde_json::to_value(&curve)?);
-        write_whole(path, text.as_bytes())?;
+        write_json(path, &curve)?;
     }
     if arguments.json {
         println!("{}", serde_json::to_string(&report)?);
@@ -280,12 +277,7 @@ pub(super) fn still_of(
     noise_cache_dir: Option<&PathBuf>,
 ) -> anyhow::Result<StillRenderer> {
     let folders = Folders::of(file, noise_cache_dir);
-    let config = RenderConfig {
-        cache_memory_mib: CACHE_MEMORY_MIB,
-        grids_dir: folders.grids.clone(),
-        maps_dir: folders.grids.clone(),
-        ..RenderConfig::new(folders.noise.clone())
-    };
+    let config = folders.render_config(CACHE_MEMORY_MIB);
     Ok(StillRenderer::new(config, Arc::new(scene.clone()), &[])?)
 }
 

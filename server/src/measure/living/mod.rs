@@ -8,8 +8,8 @@ use super::arguments::parsed_size;
 use super::metrics::{ShownErrors, shown_errors};
 use super::progress::{Progress, spoken};
 use super::reference::without_alpha;
-use super::store::write_whole;
-use crate::config::{FrameFilter, RenderConfig};
+use super::store::write_json;
+use crate::config::FrameFilter;
 use crate::frame_loop::{LivingViewers, StillRenderer, StillSettings};
 use crate::march::MarchSettings;
 use crate::quality::default_parallax_steps;
@@ -178,8 +178,7 @@ impl LivingReport {
 /// For a folder that cannot be written, an unreadable scene, an impossible camera, a missing device.
 pub(super) fn run(arguments: &LivingArguments) -> anyhow::Result<()> {
     let report = measured(arguments)?;
-    let text = format!("{:#}\n", serde_json::to_value(&report)?);
-    write_whole(&arguments.out.join("living.json"), text.as_bytes())?;
+    write_json(&arguments.out.join("living.json"), &report)?;
     if arguments.json {
         println!("{}", serde_json::to_string(&report)?);
     } else {
@@ -284,12 +283,7 @@ fn measured(arguments: &LivingArguments) -> anyhow::Result<LivingReport> {
         arguments.scene.as_deref(),
         arguments.noise_cache_dir.as_ref(),
     );
-    let config = RenderConfig {
-        cache_memory_mib: CACHE_MEMORY_MIB,
-        grids_dir: folders.grids.clone(),
-        maps_dir: folders.grids.clone(),
-        ..RenderConfig::new(folders.noise.clone())
-    };
+    let config = folders.render_config(CACHE_MEMORY_MIB);
     let mut bench = Bench {
         arguments,
         crowd: LookingCrowd::new(arguments.viewers, arguments.spread_m),

@@ -11,10 +11,9 @@ pub mod views;
 
 use super::arguments::parsed_size;
 use super::progress::{Progress, spoken};
-use super::store::{key_of, write_whole};
+use super::store::{key_of, write_json, write_whole};
 use super::trade::version;
 use crate::cells::{CellLimit, CrowdMotion, ErrorCurve, ErrorCurves};
-use crate::config::RenderConfig;
 use crate::frame_loop::{SharedFigures, StillRenderer};
 use crate::quality::default_parallax_steps;
 use crate::render_command::{Folders, read_scene};
@@ -360,8 +359,7 @@ pub(super) fn run(arguments: &ScalingArguments) -> anyhow::Result<()> {
         rings,
         wall_s: begun.elapsed().as_secs_f64(),
     };
-    let text = format!("{:#}\n", serde_json::to_value(&report)?);
-    write_whole(&out.join("scaling.json"), text.as_bytes())?;
+    write_json(&out.join("scaling.json"), &report)?;
     let page_path = out.join("scaling.html");
     write_whole(&page_path, page::page(&report).as_bytes())?;
     if arguments.json {
@@ -421,12 +419,7 @@ fn rings(
         arguments.scene.as_deref(),
         arguments.noise_cache_dir.as_ref(),
     );
-    let config = RenderConfig {
-        cache_memory_mib: CACHE_MEMORY_MIB,
-        grids_dir: folders.grids.clone(),
-        maps_dir: folders.grids.clone(),
-        ..RenderConfig::new(folders.noise.clone())
-    };
+    let config = folders.render_config(CACHE_MEMORY_MIB);
     let scene = plan.scene.at_sky_s(0.0);
     let mut still = StillRenderer::new(config, Arc::new(scene), &[])?;
     let adapter = still.adapter();

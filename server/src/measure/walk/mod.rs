@@ -10,7 +10,7 @@ use super::arguments::parsed_size;
 use super::distance::plan::{Fineness, Variant};
 use super::distance::{rgb_of, still_of};
 use super::progress::{Progress, spoken};
-use super::store::write_whole;
+use super::store::{write_json, write_whole};
 use crate::frame_loop::{FrameCosts, StillFrame, StillRenderer};
 use crate::render_command::read_scene;
 use anyhow::Context;
@@ -191,8 +191,7 @@ pub(super) fn run(arguments: &WalkArguments) -> anyhow::Result<()> {
             .collect(),
         sequences: found,
     };
-    let text = format!("{:#}\n", serde_json::to_value(&report)?);
-    write_whole(&arguments.out.join("walk.json"), text.as_bytes())?;
+    write_json(&arguments.out.join("walk.json"), &report)?;
     if arguments.json {
         println!("{}", serde_json::to_string(&report)?);
         return Ok(());
