@@ -1,19 +1,28 @@
 //! Exposure by the light of the shared sky: a small picture of the whole sky above a cell's reference point is composited
-//! from its cache, read back without waiting, and its mean logarithm of luminance sets what exposure goes towards.
+//! from its cache, read back without waiting, and its mean logarithm of luminance sets what exposure goes towards. In a layer the near
+//! part is marched for it: as many rays as that picture has pixels.
 //!
 //! What a single viewer looks at does not matter, so nobody's turning changes anybody's picture, and a sky that rests has
 //! one exposure: nothing is metered, nothing changes and no frame is sent.
+
+mod adaptation;
+#[cfg(test)]
+mod tests;
 
 use super::cells_on_device::ActiveCell;
 use super::renderer::SkyRenderer;
 use crate::composite::{
     CompositeInputs, Picture, composite_key, ground_key, view_frustum, view_uniform, with_above,
+    with_inside,
 };
 use crate::config::FrameFilter;
 use crate::gpu::{Gpu, GpuError, PipelineKey, Pipelines, ReadbackRing};
-use crate::march::{EXPOSURE_AT_ZERO_EV, Side};
-use skycell_protocol::scene::AutoExposure;
+use crate::march::{
+    EXPOSURE_AT_ZERO_EV, MarchedPixels, PixelStrip, Side, layer_features, pixels_key,
+};
+use adaptation::Adaptation;
 use skycell_protocol::{Camera, CellId, FrameSize, RendererKind};
+use skycell_shaders::{Features, layout};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
@@ -24,87 +33,18 @@ const EDGE: u32 = 24;
 const FOV_DEG: f64 = 140.0;
 /// The sky is metered this often at most.
 const INTERVAL: Duration = Duration::from_millis(250);
-/// Geometric mean of exposed luminance that calls for no change. Tuned: the default scene has it.
-const MIDDLE: f64 = 0.22;
-/// Exposure does not follow a smaller change, stops: noise of the meter and a passing cloud do not move it.
-const DEAD_BAND_EV: f64 = 0.15;
-/// And ends when it is this close.
-const ARRIVED_EV: f64 = 0.01;
-/// Fastest change, stops per second: a fifth of a second for the sun going behind a cloud would be a flash.
-const RATE_MAX_EV_PER_S: f64 = 2.0;
 /// A meter has read nothing yet.
 const NOTHING: u32 = u32::MAX;
 
 /// Luminance of linear sRGB (IEC 61966-2-1).
 const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
-/// Where exposure is, where it goes, and how. Plain arithmetic.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Adaptation {
-    /// Exposure that pictures have, stops; none before the first reading.
-    present_ev: Option<f64>,
-    target_ev: f64,
-    moves: bool,
-}
-
-impl Adaptation {
-    /// Exposure of pictures, stops.
-    pub(super) fn ev(&self) -> f64 {
-        self.present_ev.unwrap_or(0.0)
-    }
-
-    /// Takes a reading of the meter: mean of the logarithm to the base 2 of luminance at 0 EV. The first one counts at once.
-    pub(super) fn read(&mut self, mean_log2: f64, limits: &AutoExposure) {
-        if !mean_log2.is_finite() {
-            return;
-        }
-        let wanted = (MIDDLE.log2() - mean_log2).clamp(limits.min_ev(), limits.max_ev());
-        match self.present_ev {
-            None => {
-                self.present_ev = Some(wanted);
-                self.target_ev = wanted;
-            }
-            Some(present) if self.moves || (wanted - present).abs() > DEAD_BAND_EV => {
-                self.target_ev = wanted;
-                self.moves = true;
-            }
-            Some(_) => {}
-        }
-    }
-
-    /// Lets time pass; true when exposure has changed.
-    pub(super) fn advance(&mut self, seconds: f64, limits: &AutoExposure) -> bool {
-        let Some(present) = self.present_ev else {
-            return false;
-        };
-        if !self.moves {
-            return false;
-        }
-        let share = if limits.adaptation_s() > 0.0 {
-            1.0 - (-seconds / limits.adaptation_s()).exp()
-        } else {
-            1.0
-        };
-        let most = if limits.adaptation_s() > 0.0 {
-            RATE_MAX_EV_PER_S * seconds
-        } else {
-            f64::INFINITY
-        };
-        let step = ((self.target_ev - present) * share).clamp(-most, most);
-        let mut next = present + step;
-        if (self.target_ev - next).abs() <= ARRIVED_EV {
-            next = self.target_ev;
-            self.moves = false;
-        }
-        self.present_ev = Some(next);
-        next != present
-    }
-}
-
 /// A cell's meter on the device.
 #[derive(Debug)]
 pub(super) struct Meter {
     picture: Picture,
+    /// Of the layers that the reference is in, and how many these are.
+    near: Option<(usize, MarchedPixels)>,
     ring: ReadbackRing,
     found: Arc<AtomicU32>,
     pub(super) adaptation: Adaptation,
@@ -118,6 +58,7 @@ impl Meter {
         let size = FrameSize::new(EDGE, EDGE).ok()?;
         Some(Self {
             picture: Picture::new(gpu, pipelines, size, true),
+            near: None,
             ring: ReadbackRing::new(u64::from(size.pixels()) * 16, 2),
             found: Arc::new(AtomicU32::new(NOTHING)),
             adaptation: Adaptation::default(),
@@ -145,19 +86,48 @@ fn mean_log2(texels: &[f32]) -> f64 {
 }
 
 impl SkyRenderer {
-    /// The composite that meters: linear, of the cache, above some layer or not.
-    fn meter_key(&self, above: bool) -> PipelineKey {
+    /// The composite that meters a cell: linear, of the cache, from above some layer, in one, or neither.
+    fn meter_key(&self, cell: &ActiveCell) -> PipelineKey {
         let blend = self.blend();
         let key = composite_key(&self.scene, FrameFilter::Bilinear, blend, false, true);
-        if above { with_above(key) } else { key }
+        if self.near_layers_of(cell) != 0 {
+            with_inside(key)
+        } else if self.looks_down(cell.reference_m.y) {
+            with_above(key)
+        } else {
+            key
+        }
     }
 
-    /// Whether a cell can be metered; what it takes above layers is made when a cell is first there.
+    /// What metering a cell takes.
+    fn meter_keys(&self, cell: &ActiveCell) -> Vec<PipelineKey> {
+        let key = self.meter_key(cell);
+        let near = self.near_parts_of(cell);
+        let near = near
+            .iter()
+            .map(|(_, features)| pixels_key(*features, false));
+        [key, ground_key(key)].into_iter().chain(near).collect()
+    }
+
+    /// The layers, among the active ones, that the rays of a cell start in, and how their near parts are marched.
+    fn near_parts_of(&self, cell: &ActiveCell) -> Vec<(u32, Features)> {
+        let near = self.near_layers_of(cell);
+        let layers = (0..).zip(&self.active);
+        layers
+            .filter(|(place, _)| (near >> place) & 1 == 1)
+            .map(|(place, layer)| {
+                let features = layer_features(&self.scene, layer.scene_index, &cell.settings);
+                (place, cell.buffers.march_features(features))
+            })
+            .collect()
+    }
+
+    /// Whether a cell can be metered; what it takes above layers, or in one, is made when a cell is first there.
     fn can_be_metered(&mut self, cell: &ActiveCell) -> bool {
-        let key = self.meter_key(self.looks_down(cell.reference_m.y));
-        let is_there = self.pipelines.get(key).is_some();
+        let mut keys = self.meter_keys(cell);
+        keys.retain(|key| self.pipelines.get(*key).is_none());
+        let is_there = keys.is_empty();
         if !is_there {
-            let keys = vec![key, ground_key(key)];
             self.pipelines.prepare_later(&self.gpu, keys);
         }
         is_there
@@ -167,15 +137,21 @@ impl SkyRenderer {
     pub(super) fn prepare_meters(&mut self) -> Result<(), GpuError> {
         let wanted = self.scene.tone().auto_exposure().is_some();
         if wanted {
-            let some_above =
-                (self.active_cells.values()).any(|cell| self.looks_down(cell.reference_m.y));
-            for above in [Some(false), some_above.then_some(true)]
-                .into_iter()
-                .flatten()
-            {
-                let key = self.meter_key(above);
+            let key = composite_key(
+                &self.scene,
+                FrameFilter::Bilinear,
+                self.blend(),
+                false,
+                true,
+            );
+            let mut keys = vec![key, ground_key(key)];
+            keys.extend(
+                self.active_cells
+                    .values()
+                    .flat_map(|cell| self.meter_keys(cell)),
+            );
+            for key in keys {
                 self.pipelines.prepare(&self.gpu, key)?;
-                self.pipelines.prepare(&self.gpu, ground_key(key))?;
             }
         }
         for cell in self.active_cells.values_mut() {
@@ -225,9 +201,7 @@ impl SkyRenderer {
                 let is_time = meter
                     .metered
                     .is_none_or(|last| now.duration_since(last) >= INTERVAL);
-                // In a layer most of what is seen is near, and not in the cache: eyes stay used to the light.
-                let is_around = self.near_layers_of(&cell) != 0;
-                let is_wanted = reads_cache && !is_around && is_time && (meter.due || windy);
+                let is_wanted = reads_cache && is_time && (meter.due || windy);
                 if is_wanted && self.can_be_metered(&cell) {
                     self.meter(id, &mut cell, &mut meter);
                     meter.metered = Some(now);
@@ -257,21 +231,28 @@ impl SkyRenderer {
         let (size, _) = meter.picture.eyes();
         let frustum = view_frustum(&camera, size, &cell.frame);
         let mut view = view_uniform(&frustum, &cell.frame, size);
+        self.set_near(&mut view, cell);
         let tables = view.tables.iter_mut().take(self.proxies.len());
         for (layer, table) in tables.enumerate() {
             *table = cell.buffers.table(layer, 0);
         }
-        let layers = cell
-            .buffers
-            .cached_group(&self.gpu, &self.pipelines, &self.atlas)
-            .clone();
+        let layers = match self.march_near(cell, meter, &view) {
+            Some(marched) => {
+                let (gpu, pipelines) = (&self.gpu, &self.pipelines);
+                (cell.buffers).inside_group(gpu, pipelines, &self.atlas, marched.values())
+            }
+            None => cell
+                .buffers
+                .cached_group(&self.gpu, &self.pipelines, &self.atlas)
+                .clone(),
+        };
         let mut encoder = self
             .gpu
             .device
             .create_command_encoder(&wgpu::CommandEncoderDescriptor {
                 label: Some("meter"),
             });
-        let key = self.meter_key(sides.contains(&Side::Above));
+        let key = self.meter_key(cell);
         let air = self.air_views.group(
             &self.gpu,
             &self.pipelines,
@@ -308,6 +289,44 @@ impl SkyRenderer {
         });
     }
 
+    /// Marches the near part of the layers that a cell's rays start in, one ray a pixel of the meter's picture. None where they
+    /// start in none.
+    fn march_near<'a>(
+        &mut self,
+        cell: &ActiveCell,
+        meter: &'a mut Meter,
+        view: &layout::View,
+    ) -> Option<&'a MarchedPixels> {
+        let parts = self.near_parts_of(cell);
+        let (size, _) = meter.picture.eyes();
+        let (gpu, pipelines) = (&self.gpu, &self.pipelines);
+        if meter.near.as_ref().map_or(0, |(count, _)| *count) != parts.len() {
+            let marched = || MarchedPixels::new(gpu, pipelines, size, parts.len(), None);
+            meter.near = (!parts.is_empty()).then(|| (parts.len(), marched()));
+        }
+        let (_, marched) = meter.near.as_ref()?;
+        for (place, (layer, features)) in (0..).zip(parts) {
+            let view = layout::View {
+                layer,
+                place,
+                sample_is_first: 1,
+                sample_weight: 1.0,
+                ..*view
+            };
+            let strip = PixelStrip {
+                cell: &cell.buffers,
+                features,
+                view: &view,
+                rows: size.height(),
+            };
+            marched.submit_strip(&self.gpu, &mut self.timing, &self.pipelines, &strip);
+            self.watch_submission();
+            self.counters.submissions += 1;
+            self.counters.dispatches += 1;
+        }
+        Some(marched)
+    }
+
     /// Meters every cell and waits for it: exposure of a single picture.
     pub(super) fn meter_now(&mut self) -> Result<(), GpuError> {
         if self.scene.tone().auto_exposure().is_none() {
@@ -330,84 +349,5 @@ impl ActiveCell {
             (Some(meter), None) => meter.adaptation.ev(),
             (None, None) => 0.0,
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use serde_json::json;
-    use skycell_protocol::Scene;
-
-    fn limits(min_ev: f64, max_ev: f64) -> AutoExposure {
-        let document = json!({"version": 1, "tone": {"auto_exposure":
-            {"min_ev": min_ev, "max_ev": max_ev, "adaptation_s": 1.0}}});
-        let scene = Scene::from_json(&document).expect("valid");
-        scene.tone().auto_exposure().expect("automatic")
-    }
-
-    fn log2_of(ev: f64) -> f64 {
-        MIDDLE.log2() - ev
-    }
-
-    #[test]
-    fn a_step_in_brightness_is_followed_without_overshoot_within_the_rate_and_then_rests() {
-        let limits = limits(-4.0, 8.0);
-        let mut adaptation = Adaptation::default();
-        adaptation.read(log2_of(0.0), &limits);
-        assert_eq!(adaptation.ev(), 0.0);
-        let (mut last, mut frames) = (0.0, 0);
-        loop {
-            adaptation.read(log2_of(3.0), &limits);
-            if !adaptation.advance(0.05, &limits) {
-                break;
-            }
-            let ev = adaptation.ev();
-            assert!(ev > last && ev <= 3.0 && ev - last <= RATE_MAX_EV_PER_S * 0.05 + 1e-12);
-            (last, frames) = (ev, frames + 1);
-            assert!(frames < 1000, "it never rests");
-        }
-        assert!((last - 3.0).abs() <= ARRIVED_EV, "{last}");
-        // Rest: the same reading, and the noise of a meter, change nothing ever after.
-        for noise in [0.0, 0.1, -0.1, 0.14] {
-            adaptation.read(log2_of(3.0 + noise), &limits);
-            assert!(!adaptation.advance(0.05, &limits));
-        }
-    }
-
-    #[test]
-    fn exposure_stays_within_its_bounds_whatever_is_read() {
-        let limits = limits(-1.0, 2.0);
-        let mut adaptation = Adaptation::default();
-        for reading in [
-            f64::NEG_INFINITY,
-            -200.0,
-            200.0,
-            f64::NAN,
-            0.0,
-            f64::INFINITY,
-            -50.0,
-        ] {
-            adaptation.read(reading, &limits);
-            for _ in 0..200 {
-                adaptation.advance(0.1, &limits);
-                assert!((-1.0..=2.0).contains(&adaptation.ev()), "{reading}");
-            }
-        }
-    }
-
-    #[test]
-    fn the_mean_is_geometric_and_weighs_solid_angles() {
-        let even = [0.2f32, 0.2, 0.2, 1.0].repeat((EDGE * EDGE) as usize);
-        let exact = (0.2 * EXPOSURE_AT_ZERO_EV).log2();
-        assert!((mean_log2(&even) - exact).abs() < 1e-6);
-        // Half of the sky sixteen times as bright: half of four stops.
-        let halves: Vec<f32> = (0..EDGE * EDGE)
-            .flat_map(|i| {
-                let value = if i % EDGE < EDGE / 2 { 0.05 } else { 0.8 };
-                [value, value, value, 1.0]
-            })
-            .collect();
-        assert!((mean_log2(&halves) - exact).abs() < 1e-6);
     }
 }

@@ -13,9 +13,12 @@ use crate::cells::Storeys;
 use crate::composite::{ground_key, with_above, with_inside, with_parallax};
 use crate::config::FrameFilter;
 use crate::gpu::PipelineKey;
-use crate::march::{LayerBlend, REACH_M, Side, active_layers, layer_bounds_m, near_layers};
+use crate::march::{
+    LayerBlend, REACH_FADE_M, REACH_M, Side, active_layers, layer_bounds_m, near_layers,
+};
 use glam::DVec3;
 use skycell_protocol::{CellId, Codec, RendererKind, Scene};
+use skycell_shaders::layout;
 use std::time::{Duration, Instant};
 
 /// From rays back to the cache, a camera goes this far out of a layer, m.
@@ -65,6 +68,17 @@ impl SkyRenderer {
             .map(|layer| self.anchor_m(cell, layer))
             .collect();
         near_layers(&self.proxies, &self.active, &cell.frame, &anchors)
+    }
+
+    /// Tells a view of a cell's cache of which layers the near part is marched, and how far that reaches.
+    pub(super) fn set_near(&self, view: &mut layout::View, cell: &ActiveCell) {
+        view.near_layers = self.near_layers_of(cell);
+        if view.near_layers != 0 {
+            let starts = cell.frame.from_world(cell.reference_m);
+            view.reach_from = starts.as_vec3().to_array();
+            view.reach_m = REACH_M as f32;
+            view.reach_fade_m = REACH_FADE_M as f32;
+        }
     }
 
     /// Whether a viewer reads the cache of a cell in a layer, so that the near part of that is marched for it.

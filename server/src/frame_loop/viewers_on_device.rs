@@ -11,7 +11,7 @@ use crate::cache::{LEVELS, TEXELS_PER_TILE, TileRequest};
 use crate::clock::saturating_us;
 use crate::composite::{Picture, PictureFormat, dither_shift, view_frustum, view_uniform};
 use crate::gpu::{Gpu, Pipelines, ReadbackRing};
-use crate::march::{REACH_FADE_M, REACH_M, Side};
+use crate::march::Side;
 use skycell_protocol::{
     Camera, CellId, Codec, FrameSequence, FrameStages, InputSequence, RendererKind, ViewerId,
 };
@@ -341,13 +341,7 @@ impl SkyRenderer {
         view.dither_shift = dither_shift(viewer.codec_of_frame());
         let domes = self.kept_on.has_domes();
         if viewer.kind == RendererKind::Cached {
-            view.near_layers = self.near_layers_of(cell);
-        }
-        if view.near_layers != 0 {
-            let starts = cell.frame.from_world(cell.reference_m);
-            view.reach_from = starts.as_vec3().to_array();
-            view.reach_m = REACH_M as f32;
-            view.reach_fade_m = REACH_FADE_M as f32;
+            self.set_near(&mut view, cell);
         }
         view.parallax_steps = parallax_steps(&self.scene, &self.active, domes, viewer, eye, cell);
         for (proxy, requests) in requests.iter().enumerate().take(view.tables.len()) {
