@@ -101,6 +101,7 @@ async fn serve(
         show: hello.show,
         stereo: hello.stereo,
         haze: hello.haze,
+        linear: false,
     };
     let viewer = match context.viewers.join(view) {
         Ok(viewer) => viewer,

@@ -265,7 +265,7 @@ fn with_transition(operation: Operation) -> Operation {
     )
 }
 
-fn map_files() -> Value {
+fn picture_files() -> Value {
     json!({
         "image/png": {"schema": {"type": "string", "contentMediaType": "image/png"}},
         "image/x-exr": {"schema": {"type": "string", "contentMediaType": "image/x-exr"}},
@@ -286,7 +286,7 @@ fn map() -> Value {
     .with_known()
     .answer(
         "PNG with 16 bits of grey, or EXR with 32-bit floats.",
-        map_files(),
+        picture_files(),
         true,
     )
     .problem(406, "`Accept` names neither.")
@@ -371,13 +371,19 @@ fn snapshot() -> Value {
         .query("fov_deg", "The angle between the upper and the lower edge.", number(VERTICAL_FOV_DEG, usual.vertical_fov_deg(), "deg"))
         .query("width", "Pixels in a row.", pixels(FRAME_WIDTH_MAX, width))
         .query("height", "Rows.", pixels(FRAME_HEIGHT_MAX, height))
+        .query(
+            "format",
+            "The format; by `Accept` where it is left out.",
+            json!({"type": "string", "enum": ["png", "exr"], "default": "png"}),
+        )
         .answer(
-            "The picture.",
-            json!({"image/png": {"schema": {"type": "string", "contentMediaType": "image/png"}}}),
+            "PNG as it is shown, or EXR: radiance in W/(m² nm sr) at 680, 550 and 440 nm as 32-bit floats R, G and B, before \
+             white balance, exposure and curve.",
+            picture_files(),
             false,
         )
         .problem(400, "The query cannot be read.")
-        .problem(406, "`Accept` does not name it.")
+        .problem(406, "`Accept` names neither.")
         .problem(422, "A value is not allowed.")
         .problem(429, "Too many wait already, or too many requests of this address: `Retry-After` tells when to try again.")
         .problem(503, "No frame was ready in time, too many viewers are connected, or the server is ending.")
