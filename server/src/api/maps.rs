@@ -17,7 +17,7 @@ use tokio::sync::{Semaphore, SemaphorePermit};
 use super::Problem;
 use super::picture_format::picture_format;
 use super::scene::{document, is_known, not_modified, problem_of, read_precondition, tag_of};
-use crate::field::{MAP_FILE_MAX_BYTES, MapFileFormat};
+use crate::field::MAP_FILE_MAX_BYTES;
 use crate::scene::{MapChoice, ScenePatchError, SceneSnapshot};
 use crate::stream::StreamContext;
 

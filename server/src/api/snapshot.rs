@@ -8,9 +8,7 @@ use std::time::{Duration, Instant};
 
 use axum::Router;
 use axum::extract::{Query, State};
-use axum::http::header::{
-    CACHE_CONTROL, CONTENT_TYPE, HeaderName, HeaderValue, RETRY_AFTER, VARY,
-};
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, HeaderName, HeaderValue, RETRY_AFTER, VARY};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
@@ -44,7 +42,8 @@ pub(super) const PIXELS_MAX: u32 = 1920 * 1080;
 pub(super) const SIZE: [u32; 2] = [640, 360];
 
 const ENDING: &str = "the server is shutting down";
-const WHAT: &str = "a snapshot is image/png (as it is shown) or image/x-exr (linear radiance, 32-bit floats)";
+const WHAT: &str =
+    "a snapshot is image/png (as it is shown) or image/x-exr (linear radiance, 32-bit floats)";
 const SCENE_REVISION: HeaderName = HeaderName::from_static("skycell-scene-revision");
 const EXACT: HeaderName = HeaderName::from_static("skycell-exact");
 
