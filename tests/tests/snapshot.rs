@@ -85,7 +85,12 @@ async fn an_exr_snapshot_is_the_radiance_of_which_the_png_is_the_picture() -> an
     assert_eq!((exr.width(), exr.height()), (160, 90));
     let radiance: Vec<[f64; 3]> = exr.pixels().map(|p| p.0.map(f64::from)).collect();
     let most = radiance.iter().flatten().copied().fold(0.0, f64::max);
-    assert!(radiance.iter().flatten().all(|c| c.is_finite() && *c >= 0.0));
+    assert!(
+        radiance
+            .iter()
+            .flatten()
+            .all(|c| c.is_finite() && *c >= 0.0)
+    );
     let shown = tone::shown(160, 90, &radiance);
     let png = png.into_rgb8();
     let (mut sum, mut furthest) = (0, 0);

@@ -90,8 +90,8 @@ mod tests {
     use super::*;
     use crate::config::PlacedCell;
     use serde_json::json;
-    use skycell_protocol::{Codec, ViewerId};
     use skycell_protocol::clouds::{Clouds, append};
+    use skycell_protocol::{Codec, ViewerId};
     use skycell_shaders::CloudsAlone;
     use std::sync::{Arc, Mutex};
     use std::time::{Duration, Instant};

@@ -6,8 +6,8 @@ use super::clouds::{self, of_format};
 use super::renderer::{SkyRenderer, frame_key};
 use super::viewers_on_device::ActiveViewer;
 use crate::composite::{
-    CompositeInputs, InspectionInputs, Inspections, Picture, PictureFormat, ground_key, inspect_key, shown_key,
-    shown_of, with_above, with_inside, with_parallax,
+    CompositeInputs, InspectionInputs, Inspections, Picture, PictureFormat, ground_key,
+    inspect_key, shown_key, shown_of, with_above, with_inside, with_parallax,
 };
 use crate::gpu::PipelineKey;
 use crate::march::layer_features;

@@ -239,9 +239,8 @@ impl SkyRenderer {
         let stand_in = CellId(u32::MAX - self.counters.transitions.stand_ins);
         let mut is_kept = false;
         for viewer in self.viewers.values_mut() {
-            let is_in = viewer.cell == id
-                && viewer.kind == RendererKind::Cached
-                && !viewer.view.linear;
+            let is_in =
+                viewer.cell == id && viewer.kind == RendererKind::Cached && !viewer.view.linear;
             match &mut viewer.transition {
                 Some(transition) if transition.from == id => {
                     transition.from = stand_in;
