@@ -111,8 +111,7 @@ impl TrustedProxies {
             return peer;
         }
         // Later headers continue earlier ones.
-        let mut lines = headers.get_all(self.header.name()).iter().rev();
-        while let Some(line) = lines.next() {
+        for line in headers.get_all(self.header.name()).iter().rev() {
             for hop in self.hops(line).into_iter().rev() {
                 // A proxy that hides where a request comes from, or a header that nobody can read.
                 let Some(address) = hop else { return nearest };
