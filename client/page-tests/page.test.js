@@ -125,6 +125,8 @@ test("a dragged slider sends few patches, the last value wins, undo and the rese
   const row = page.locator('[data-path="layers/0/density/coverage"]');
   await row.waitFor();
   const before = (await server.get("api/v1/scene")).layers[0].density.coverage;
+  const newest = async () => (await server.get("api/v1/scene/revisions?limit=1")).revisions[0];
+  const revision_before = (await newest()).revision;
   const moves = 60;
   const sent = await page.evaluate(async (count) => {
     const { editor } = /** @type {any} */ (window).skycell.scene;
@@ -143,6 +145,10 @@ test("a dragged slider sends few patches, the last value wins, undo and the rese
   const scene = await server.get("api/v1/scene");
   assert.equal(scene.layers[0].density.coverage, 0.8);
   assert.equal(scene.layers[0].density.pattern, (await draft(page)).layers[0].density.pattern);
+  // To whoever looks back it is one revision.
+  const drag = await newest();
+  assert.equal(drag.first, revision_before + 1);
+  assert.ok(drag.revision > drag.first, JSON.stringify(drag));
   // Undo: the whole drag is one step.
   await page.locator("#undo").click();
   await until(page, (was) => /** @type {any} */ (window).skycell.scene.editor.state.document.layers[0].density.coverage === was, before);
@@ -257,6 +263,12 @@ test("keys, help, screenshot, and the bar of the day", { skip }, async () => {
   const low = async () => (await server.get("api/v1/scene/time")).sun.elevation_deg;
   await until(page, "/^1[6-9]:|^2/.test(document.getElementById('hour-text').textContent)");
   assert.ok(Math.abs(await low()) < 2.5, `${await low()}° at dusk`);
+  // Undo takes the clock back, too: to noon, and to the sun that stands by hand.
+  await page.keyboard.press("Control+z");
+  await until(page, "/^1[12]:/.test(document.getElementById('hour-text').textContent)");
+  await page.keyboard.press("Control+z");
+  await until(page, "document.getElementById('hour-text').textContent === 'by hand'");
+  assert.equal((await server.get("api/v1/scene")).sun.place_and_time, null);
   await page.locator("#picture").focus();
   await page.keyboard.press("h");
   assert.ok(await page.locator(".foot").isHidden());

@@ -21,8 +21,8 @@ const MAP_MAX_BYTES: usize = 300 << 20;
 const MAP_TIMEOUT: Duration = Duration::from_secs(130);
 /// A snapshot waits for its turn and for caches.
 const SNAPSHOT_TIMEOUT: Duration = Duration::from_secs(45);
-/// PNG of 1920 x 1080 pixels of noise, and what is around it.
-const SNAPSHOT_MAX_BYTES: usize = 16 << 20;
+/// EXR of 1920 x 1080 pixels of noise, and what is around it.
+const SNAPSHOT_MAX_BYTES: usize = 32 << 20;
 const MERGE_PATCH: &str = "application/merge-patch+json";
 /// How often a patch without an own precondition is tried when others patch at the same time.
 const PATCH_TRIES: u32 = 5;
@@ -238,7 +238,7 @@ impl HttpApi {
         Ok(body)
     }
 
-    /// A picture of the sky as it is now, as PNG. `view` are the parameters of the query, such as `yaw_deg` and `90`; what is
+    /// A picture of the sky as it is now, as PNG, or as EXR with the parameter `format` `exr`. `view` are the parameters of the query, such as `yaw_deg` and `90`; what is
     /// left out is the server's choice.
     ///
     /// # Errors

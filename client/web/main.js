@@ -299,6 +299,8 @@ controls = attachSkyControls(
     onPresets: scene.setPresets,
     onPreset: ({ name }) => scene.aboutToSet(name),
     onReport: ({ revision }) => scene.sawRevision(revision),
+    onGap: scene.reload,
+    onStep: scene.aboutToChange,
     latitude: scene.latitudeDeg,
   },
 );

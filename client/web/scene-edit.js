@@ -10,7 +10,7 @@ import { refusal } from "./maps.js";
 
 /** While a slider is dragged, requests start this far apart at least. */
 const SEND_INTERVAL_MS = 120;
-/** Changes within this time of one another are one step of undo. */
+/** Changes within this time of one another are one step of undo; so is all that is changed without letting go of a slider. */
 const STEP_MS = 1200;
 const STEPS_MAX = 50;
 /** What servers write themselves, or another part of the page owns: undo and reset leave it. */
@@ -61,6 +61,11 @@ export function mergePatch(from, to) {
   return Object.keys(patch).length === 0 ? undefined : patch;
 }
 
+/** The number of an ETag; NaN where it has none. @param {string} etag */
+function revisionOf(etag) {
+  return /^"\d+"$/.test(etag) ? Number(etag.slice(1, -1)) : Number.NaN;
+}
+
 /**
  * The same, in words that mean it: in a merge patch null removes, which brings the default back.
  * @param {any} from
@@ -70,6 +75,11 @@ export function scenePatch(from, to) {
   const patch = mergePatch(from, to);
   if (patch && patch.planet === null) patch.planet = "flat";
   return patch;
+}
+
+/** A name for changes that are one to whoever looks back: nobody else's has it. */
+export function newGroup() {
+  return [...crypto.getRandomValues(new Uint8Array(8))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
 /**
@@ -91,9 +101,20 @@ export class SceneEditor {
   /** A revision that was told of while a request was under way. @type {number | null} */
   #told = null;
   #sending = false;
+  #loading = false;
+  /** Settles when nothing is left to be sent. @type {Promise<void>} */
+  #sent = Promise.resolve();
   #sent_ms = -Infinity;
-  /** What the scene was before each step. @type {{ etag: string, document: any }[]} */ #steps = [];
+  /**
+   * What the scene was before each step; without an ETag where changes before it were on their way still.
+   * @type {{ etag: string, document: any }[]}
+   */
+  #steps = [];
   #edited_ms = -Infinity;
+  /** Names the changes of the present step to the server. */
+  #group = newGroup();
+  /** The drag that made the last change. @type {object | null} */
+  #drag = null;
   /** @type {Set<(state: SceneState) => void>} */ #handlers = new Set();
   /** How many requests were sent. */
   requests = 0;
@@ -115,30 +136,50 @@ export class SceneEditor {
     if (this.#document) handler(this.state);
   }
 
-  /** Reads the scene anew, unless it is the one that is known. @param {number} [revision] */
+  /** Reads the scene anew; of a revision that was told of, unless that one or a later one is known. @param {number} [revision] */
   async load(revision) {
-    if (revision !== undefined && this.#sending) this.#told = revision;
-    if (revision !== undefined && (this.#etag === `"${revision}"` || this.#sending)) return;
-    const response = await fetch("api/v1/scene", { cache: "no-cache" });
-    if (!response.ok) throw new Error(await refusal(response));
-    await this.#take(response);
+    if (revision !== undefined) {
+      if (this.#sending || this.#loading) {
+        this.#told = Math.max(this.#told ?? 0, revision);
+        return;
+      }
+      if (revisionOf(this.#etag) >= revision) return;
+    }
+    this.#loading = true;
+    try {
+      const response = await fetch("api/v1/scene", { cache: "no-cache" });
+      if (!response.ok) throw new Error(await refusal(response));
+      await this.#take(response);
+    } finally {
+      this.#loading = false;
+    }
+    await this.#readTold();
+  }
+
+  /** Reads what was told of meanwhile. */
+  async #readTold() {
+    const told = this.#told;
+    if (told === null || this.#sending) return;
+    this.#told = null;
+    await this.load(told);
   }
 
   /**
    * Changes a value: at once in the draft, soon on the server.
    * @param {Path} path
    * @param {unknown} value
+   * @param {object | null} [drag]  stands for a slider that is held: the same one until it is let go
    */
-  edit(path, value) {
+  edit(path, value, drag = null) {
     if (!this.#document) return;
-    this.#beginStep();
+    this.#beginStep(false, drag);
     const key = path.join("/");
     // What is set as a whole does away with what was to be set in it.
     for (const other of this.#pending.keys()) if (other.startsWith(`${key}/`)) this.#pending.delete(other);
     this.#pending.delete(key);
     this.#pending.set(key, { path, value });
     this.#announce();
-    void this.#send();
+    if (!this.#sending) this.#sent = this.#send();
   }
 
   /**
@@ -165,16 +206,22 @@ export class SceneEditor {
 
   /** Takes the last step back. */
   async undo() {
+    await this.#sent;
     const before = this.#steps.pop();
     this.#edited_ms = -Infinity;
+    this.#drag = null;
     if (before) await this.#revert(before);
     this.#announce();
   }
 
   /** @param {{ etag: string, document: any }} before */
   async #revert({ etag, document }) {
+    const revision = revisionOf(etag);
+    if (Number.isNaN(revision)) {
+      await this.replace(document, true);
+      return;
+    }
     this.requests += 1;
-    const revision = Number(etag.replaceAll('"', ""));
     const response = await fetch("api/v1/scene/revert", {
       method: "POST",
       headers: { "Content-Type": "application/json", "If-Match": this.#etag },
@@ -192,20 +239,23 @@ export class SceneEditor {
 
   /** For what somebody else on the page changes: the scene before it is a step, too. */
   beginStep() {
-    this.#beginStep(true);
+    if (this.#document) this.#beginStep(true);
   }
 
-  #beginStep(always = false) {
+  /** @param {boolean} always @param {object | null} [drag] */
+  #beginStep(always, drag = null) {
     const now_ms = performance.now();
-    if (always || now_ms - this.#edited_ms > STEP_MS) {
-      this.#steps.push({ etag: this.#etag, document: this.state.draft });
+    const goes_on = drag !== null && drag === this.#drag;
+    if (always || (!goes_on && now_ms - this.#edited_ms > STEP_MS)) {
+      this.#steps.push({ etag: this.#sending ? "" : this.#etag, document: this.state.draft });
       if (this.#steps.length > STEPS_MAX) this.#steps.shift();
+      this.#group = newGroup();
     }
     this.#edited_ms = now_ms;
+    this.#drag = drag;
   }
 
   async #send() {
-    if (this.#sending) return;
     this.#sending = true;
     while (this.#pending.size > 0) {
       const wait_ms = this.#sent_ms + SEND_INTERVAL_MS - performance.now();
@@ -214,21 +264,19 @@ export class SceneEditor {
       this.#in_flight = this.#pending;
       this.#pending = new Map();
       this.#sent_ms = performance.now();
-      if (patch) await this.#request(patch);
+      if (patch) await this.#request(patch, this.#group);
       this.#in_flight = new Map();
     }
     this.#sending = false;
     this.#announce();
-    const told = this.#told;
-    this.#told = null;
-    if (told !== null) await this.load(told).catch(() => {});
+    await this.#readTold().catch(() => {});
   }
 
-  /** @param {object} patch */
-  async #request(patch) {
+  /** @param {object} patch @param {string} [group]  of changes that are one step */
+  async #request(patch, group) {
     this.requests += 1;
     try {
-      const response = await fetch("api/v1/scene", {
+      const response = await fetch(`api/v1/scene${group ? `?group=${group}` : ""}`, {
         method: "PATCH",
         headers: { "Content-Type": "application/merge-patch+json", "If-Match": this.#etag },
         body: JSON.stringify(patch),

@@ -102,7 +102,8 @@ export function createScenePanel({ container, editor, reference, onShown }) {
     unit.className = "unit";
     unit.textContent = field.unit;
     controller.domElement.querySelector(".lil-widget")?.append(unit);
-    let dragged = false;
+    /** Stands for the slider's movement from when it is taken until it is let go. @type {object | null} */
+    let drag = null;
     /** @type {HTMLInputElement | null} */
     let slider = null;
     if (Number.isFinite(span) && span > 0) {
@@ -115,15 +116,15 @@ export function createScenePanel({ container, editor, reference, onShown }) {
       slider.step = field.whole && span <= SLIDER_STEPS ? String(SLIDER_STEPS / span) : "1";
       slider.setAttribute("aria-label", field.unit ? `${field.label}, ${field.unit}` : field.label);
       slider.addEventListener("input", () => {
-        dragged = true;
+        drag ??= {};
         const value = clamped(rounded(scale.valueAt(Number(slider?.value) / SLIDER_STEPS), field.whole));
         bound.value = value;
         controller.updateDisplay();
         slider?.setAttribute("aria-valuetext", `${value} ${field.unit}`);
-        editor.edit(field.path, value);
+        editor.edit(field.path, value, drag);
       });
       slider.addEventListener("change", () => {
-        dragged = false;
+        drag = null;
       });
       controller.domElement.classList.add("slid");
       controller.domElement.querySelector(".lil-widget")?.prepend(slider);
@@ -132,7 +133,7 @@ export function createScenePanel({ container, editor, reference, onShown }) {
     const update = (/** @type {import("./scene-schema.js").NumberField} */ now) => {
       bound.value = now.value;
       controller.updateDisplay();
-      if (slider && !dragged) {
+      if (slider && drag === null) {
         slider.value = String(sliderScale(now).placeOf(now.value) * SLIDER_STEPS);
         slider.setAttribute("aria-valuetext", `${now.value} ${now.unit}`);
       }

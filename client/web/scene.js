@@ -96,6 +96,8 @@ export function attachScene({ onProblem, onDocument }) {
       editor.beginStep();
       void attempt(() => setReference(name));
     },
+    /** Another part of the page is about to change the scene. */
+    aboutToChange: () => editor.beginStep(),
     latitudeDeg: () => /** @type {number | null} */ (editor.state.document?.sun?.place_and_time?.latitude_deg ?? null),
   };
 }

@@ -2,6 +2,7 @@
 /** The page's controls of the sky: presets, pause, pace and the bar of the day. */
 
 import { showPresets } from "./presets.js";
+import { newGroup } from "./scene-edit.js";
 import {
   changeTime,
   clockText,
@@ -47,6 +48,8 @@ const LATITUDE_DEG = 48.2;
  * @param {(presets: Preset[]) => void} hooks.onPresets
  * @param {(preset: Preset) => void} hooks.onPreset  before it is asked for
  * @param {(report: SkyTime) => void} hooks.onReport
+ * @param {() => void} hooks.onGap  the scene is to be read anew
+ * @param {() => void} hooks.onStep  the clock is about to be changed: what is now is what an undo brings back
  * @param {() => number | null} hooks.latitude  of the sun's place, degrees
  */
 export function attachSkyControls(elements, hooks) {
@@ -59,6 +62,8 @@ export function attachSkyControls(elements, hooks) {
   let cards = { mark: (/** @type {string | null} */ _name) => {} };
   let sliding = false;
   let slid_ms = 0;
+  /** Names the changes of one movement of the slider to the server. */
+  let group = "";
   /** @type {[number | null, number, number | null]} */
   let mark_hours = [6, 12, 18];
 
@@ -103,6 +108,18 @@ export function attachSkyControls(elements, hooks) {
     }
   };
 
+  /** @param {SkyTime} changed */
+  const take = (changed) => {
+    report = changed;
+    reported_ms = performance.now();
+    hooks.onReport(changed);
+  };
+  const beginSlide = () => {
+    if (sliding) return;
+    sliding = true;
+    group = newGroup();
+    hooks.onStep();
+  };
   const slide = async () => {
     if (!report) return;
     slid_ms = performance.now();
@@ -110,32 +127,40 @@ export function attachSkyControls(elements, hooks) {
     if (report.date === null) {
       // The sun stands by hand: from now on it stands by the clock.
       await patchScene({ sun: { place_and_time: {} } });
-      report = await changeTime({});
-      reported_ms = performance.now();
+      take(await changeTime({}));
     }
-    await changeTime({ sky_s: skySecondsAtHour(report, laterSeconds(), wanted) });
+    take(await changeTime({ sky_s: skySecondsAtHour(report, laterSeconds(), wanted) }, group));
   };
 
-  const togglePause = () => attempt(() => changeTime({ paused: !report?.paused }));
+  /** @param {object} wanted */
+  const setClock = (wanted) =>
+    attempt(async () => {
+      hooks.onStep();
+      take(await changeTime(wanted));
+    });
+  const togglePause = () => setClock({ paused: !report?.paused });
   const settle = () =>
     attempt(async () => {
-      await slide();
-      sliding = false;
+      try {
+        await slide();
+      } finally {
+        sliding = false;
+      }
     });
   pause.addEventListener("click", togglePause);
   pace.addEventListener("change", () =>
     // Clouds keep their pace while days fly by.
-    attempt(() => changeTime({ rate: Number(pace.value), wind_rate: pace.value === "1" ? null : 1 })),
+    setClock({ rate: Number(pace.value), wind_rate: pace.value === "1" ? null : 1 }),
   );
   hour.addEventListener("input", () => {
-    sliding = true;
+    beginSlide();
     show();
     if (performance.now() - slid_ms > SLIDE_INTERVAL_MS) void attempt(slide);
   });
   hour.addEventListener("change", settle);
   for (const [index, mark] of marks.entries()) {
     mark.addEventListener("click", () => {
-      sliding = true;
+      beginSlide();
       hour.value = String(mark_hours[index] ?? 12);
       void settle();
     });
@@ -166,7 +191,7 @@ export function attachSkyControls(elements, hooks) {
     hooks.onReport(next);
     showDay();
     show();
-  });
+  }, hooks.onGap);
   showDay();
   setInterval(show, SHOW_INTERVAL_MS);
   return { togglePause, showDay };

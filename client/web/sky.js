@@ -3,7 +3,7 @@
  * The sky's clock and its presets: what the page shows of them and asks the server for.
  */
 
-import { watchEvents } from "./token.js";
+import { watchEvents } from "./events.js";
 
 /**
  * @typedef {object} SkyTime
@@ -114,20 +114,23 @@ export const setPreset = (name, transition_s) => ask("scene/preset", "POST", { n
 
 /**
  * @param {object} change  sky_s, date, rate, wind_rate or paused
+ * @param {string} [group]  of changes that are one to whoever looks back
  * @returns {Promise<SkyTime>}
  */
-export const changeTime = (change) => ask("scene/time", "PUT", change);
+export const changeTime = (change, group) => ask(`scene/time${group ? `?group=${group}` : ""}`, "PUT", change);
 
 /** @param {object} patch */
 export const patchScene = (patch) => ask("scene", "PATCH", patch);
 
 /**
- * Tells of the sky's clock now and whenever the scene changes.
+ * Tells of the sky's clock now and at every change of the scene.
  * @param {(report: SkyTime) => void} onReport
+ * @param {() => void} onGap  changes were missed that nobody knows any more: the scene is to be read anew
  */
-export function watchSky(onReport) {
+export function watchSky(onReport, onGap) {
   return watchEvents(new URL("api/v1/scene/events", location.href), (name, data) => {
     if (name === "scene") onReport(JSON.parse(data));
+    else if (name === "gap") onGap();
   });
 }
 

@@ -289,6 +289,14 @@ fn line_of_revision(revision: &Value) -> String {
     if let Some(of) = revision["of"].as_u64() {
         what.push_str(&format!(" to {of}"));
     }
+    // A group of changes stands for all of them.
+    let own = revision["revision"].as_u64();
+    if let Some(first) = revision["first"]
+        .as_u64()
+        .filter(|first| Some(*first) < own)
+    {
+        what.push_str(&format!(" since {first}"));
+    }
     let mut changed: Vec<&str> = revision["changed"]
         .as_array()
         .into_iter()
@@ -428,6 +436,12 @@ mod tests {
                 "2",
                 "more"
             ]
+        );
+        let drag = json!({"revision": 12, "first": 9, "time": "", "kind": "patch", "changed": []});
+        let words = line_of_revision(&drag);
+        assert_eq!(
+            words.split_whitespace().collect::<Vec<_>>(),
+            ["12", "patch", "since", "9"]
         );
     }
 }

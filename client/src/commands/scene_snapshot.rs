@@ -11,7 +11,7 @@ use super::print_line;
 /// Where to stand and look; what is left out is the server's choice.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Where to write the picture, PNG.
+    /// Where to write the picture: .exr for linear radiance, else PNG.
     file: PathBuf,
     /// East of the world's origin.
     #[arg(long, allow_negative_numbers = true)]
@@ -52,9 +52,13 @@ impl Arguments {
             ("width", self.width.map(f64::from)),
             ("height", self.height.map(f64::from)),
         ];
+        let ending = self.file.extension();
+        let is_exr = ending.is_some_and(|ending| ending.eq_ignore_ascii_case("exr"));
+        let format = is_exr.then_some("exr");
         numbers
             .into_iter()
             .filter_map(|(name, number)| Some((name, number?.to_string())))
+            .chain(format.map(|format| ("format", format.to_owned())))
             .collect()
     }
 }

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import test from "node:test";
-import { isOwnApi, parseEvent, withToken } from "../token.js";
+import { isOwnApi, withToken } from "../token.js";
 
 test("the token goes to the own server's interface and nowhere else", () => {
   const base = "https://sky.test/north/?yaw=3";
@@ -26,10 +26,4 @@ test("a request keeps its own headers beside the token", () => {
   assert.equal(init.headers.get("authorization"), "Bearer sky_x");
   assert.equal(init.headers.get("if-match"), "*");
   assert.equal(withToken(undefined, "a").headers.get("authorization"), "Bearer a");
-});
-
-test("an event's name and its lines of data are read, comments are not", () => {
-  assert.deepEqual(parseEvent('event: scene\ndata: {"a":1}'), { name: "scene", data: '{"a":1}' });
-  assert.deepEqual(parseEvent("data:a\r\ndata: b\r\n: comment"), { name: "message", data: "a\nb" });
-  assert.deepEqual(parseEvent(": keep-alive"), { name: "message", data: "" });
 });

@@ -13,11 +13,12 @@ use skycell_protocol::message::ACCESS_TOKEN_MAX_BYTES;
 
 use super::exposure::is_loopback;
 use super::hosts::Hosts;
+use super::lease::Lease;
 use super::peer::{Peer, PeerKey, PeerPermit, Peers};
 use super::rates::{PeerRate, retry_after_s};
 use super::refusal::Refusal;
 use super::role::{Role, Rule, rule_of};
-use super::token_list::Tokens;
+use super::token_list::{TokenEntry, Tokens};
 use crate::api::{Problem, is_page_path};
 use crate::config::Config;
 use crate::metrics::Metrics;
@@ -53,6 +54,8 @@ pub(crate) enum HelloRefusal {
 pub struct Gate {
     tokens: Arc<Tokens>,
     hosts: Hosts,
+    /// Nobody from elsewhere reaches it, by a proxy either.
+    is_local: bool,
     requests: PeerRate,
     upgrades: PeerRate,
     failures: PeerRate,
@@ -68,9 +71,11 @@ pub struct Gate {
 impl Gate {
     /// The gate of a server with this configuration.
     pub fn new(config: &Config, tokens: Arc<Tokens>, metrics: Arc<Metrics>) -> Arc<Self> {
-        let limits = config.limits.resolved(is_loopback(config.listen));
+        let is_local = config.serves_this_machine_alone();
+        let limits = config.limits.resolved(is_local);
         Arc::new(Self {
             tokens,
+            is_local,
             hosts: Hosts {
                 is_loopback: is_loopback(config.listen),
                 allowed_hosts: config.allowed_hosts.clone(),
@@ -102,7 +107,7 @@ impl Gate {
 
     /// Room for one more WebSocket of a peer that has not said hello yet.
     pub(crate) fn greet(&self, peer: PeerKey) -> Result<PeerPermit, Problem> {
-        let max = if self.hosts.is_loopback {
+        let max = if self.is_local {
             u32::MAX
         } else {
             GREETING_OF_PEER_MAX
@@ -122,18 +127,18 @@ impl Gate {
         })
     }
 
-    /// Who says hello; without tokens everybody may everything.
+    /// Lets in who says hello, as long as the token is known; without tokens everybody may everything.
     pub(crate) fn check_hello(
         &self,
         peer: PeerKey,
         token: Option<&str>,
-    ) -> Result<Role, HelloRefusal> {
-        match self.role_of(peer, token) {
-            Ok((role, name)) => {
-                if let Some(name) = name {
-                    tracing::debug!(%role, holder = %name, "a viewer's token is known");
+    ) -> Result<Lease, HelloRefusal> {
+        match self.holder_of(peer, token) {
+            Ok(holder) => {
+                if let Some(entry) = &holder {
+                    tracing::debug!(role = %entry.role, holder = %entry.name, "a viewer's token is known");
                 }
-                Ok(role)
+                Ok(self.lease(holder.as_ref(), Role::View))
             }
             Err((refusal, why)) => {
                 self.count(refusal);
@@ -142,8 +147,16 @@ impl Gate {
         }
     }
 
-    /// Lets a request pass, or says why not.
-    fn check(&self, peer: Peer, request: &Request) -> Result<(), (Refusal, Problem)> {
+    fn lease(&self, holder: Option<&TokenEntry>, needed: Role) -> Lease {
+        Lease::new(
+            self.tokens.watch(),
+            holder.map(|entry| entry.digest),
+            needed,
+        )
+    }
+
+    /// Lets a request pass, or says why not. Where a token is needed, tells for how long.
+    fn check(&self, peer: Peer, request: &Request) -> Result<Option<Lease>, (Refusal, Problem)> {
         let (method, uri, headers) = (request.method(), request.uri(), request.headers());
         if peer.has_too_many_connections {
             let problem = too_many("this address has too many connections", 1)
@@ -174,33 +187,34 @@ impl Gate {
         method: &Method,
         path: &str,
         headers: &HeaderMap,
-    ) -> Result<(), (Refusal, Problem)> {
+    ) -> Result<Option<Lease>, (Refusal, Problem)> {
         let Rule::Needs(needed) = rule_of(method, path, is_page_path(path)) else {
-            return Ok(());
+            return Ok(None);
         };
         let token = bearer_of(headers);
-        let (role, _) = self.role_of(peer, token).map_err(|(refusal, why)| {
+        let holder = self.holder_of(peer, token).map_err(|(refusal, why)| {
             let problem = match why {
                 HelloRefusal::Unauthorized(why) => unauthorized(token.is_some(), why),
                 HelloRefusal::Blocked(seconds) => too_many("too many wrong tokens", seconds),
             };
             (refusal, problem)
         })?;
-        if role >= needed {
-            Ok(())
-        } else {
-            Err((Refusal::Role, forbidden(role, needed)))
+        match &holder {
+            Some(entry) if entry.role < needed => {
+                Err((Refusal::Role, forbidden(entry.role, needed)))
+            }
+            _ => Ok(Some(self.lease(holder.as_ref(), needed))),
         }
     }
 
-    /// What the holder of a token may do, and who it is.
-    fn role_of(
+    /// Whose a token is; nobody's where none is needed.
+    fn holder_of(
         &self,
         peer: PeerKey,
         token: Option<&str>,
-    ) -> Result<(Role, Option<String>), (Refusal, HelloRefusal)> {
+    ) -> Result<Option<TokenEntry>, (Refusal, HelloRefusal)> {
         if self.tokens.is_empty() {
-            return Ok((Role::Admin, None));
+            return Ok(None);
         }
         let Some(token) = token else {
             let why = "this server needs a token";
@@ -214,8 +228,8 @@ impl Gate {
         let holder = (token.len() <= ACCESS_TOKEN_MAX_BYTES)
             .then(|| self.tokens.holder(token))
             .flatten();
-        if let Some((role, name)) = holder {
-            return Ok((role, Some(name)));
+        if holder.is_some() {
+            return Ok(holder);
         }
         match self.failures.take(peer) {
             Ok(()) => {
@@ -255,14 +269,23 @@ impl Gate {
 }
 
 /// Lets requests pass the gate, or answers why not.
-pub(crate) async fn pass(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> Response {
+pub(crate) async fn pass(
+    State(gate): State<Arc<Gate>>,
+    mut request: Request,
+    next: Next,
+) -> Response {
     // Every connection of the service has one; without it nobody could be told apart.
     let Some(peer) = request.extensions().get::<Peer>().copied() else {
         return Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "the peer is not known")
             .into_response();
     };
     match gate.check(peer, &request) {
-        Ok(()) => next.run(request).await,
+        Ok(lease) => {
+            if let Some(lease) = lease {
+                request.extensions_mut().insert(lease);
+            }
+            next.run(request).await
+        }
         Err((refusal, problem)) => {
             gate.count(refusal);
             tracing::debug!(reason = refusal.name(), "a request is refused");

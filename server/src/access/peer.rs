@@ -1,7 +1,8 @@
 //! Who asks: the peer's address, and how many connections and viewers it has.
 
 use std::collections::HashMap;
-use std::net::{IpAddr, Ipv6Addr, SocketAddr};
+use std::fmt;
+use std::net::{IpAddr, Ipv6Addr};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// What limits per peer go by: an IPv4 address, or the 64 bits of an IPv6 address that name a network, of which a
@@ -25,7 +26,13 @@ impl PeerKey {
     pub(super) const OTHERS: Self = Self(IpAddr::V6(Ipv6Addr::UNSPECIFIED));
 }
 
-/// Whose connection a request came on. In the extensions of every request.
+impl fmt::Display for PeerKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// Who asks: whose connection a request came on, or whom a trusted proxy names. In the extensions of every request.
 #[derive(Clone, Copy, Debug)]
 pub struct Peer {
     /// What limits go by.
@@ -36,9 +43,9 @@ pub struct Peer {
 
 impl Peer {
     /// A peer that may have this connection.
-    pub fn at(address: SocketAddr) -> Self {
+    pub fn at(address: IpAddr) -> Self {
         Self {
-            key: PeerKey::of(address.ip()),
+            key: PeerKey::of(address),
             has_too_many_connections: false,
         }
     }

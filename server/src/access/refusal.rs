@@ -8,6 +8,8 @@ pub enum Refusal {
     NoToken,
     /// A token that is not known.
     WrongToken,
+    /// A token that was taken away while it was used.
+    TokenTaken,
     /// A token whose role may not.
     Role,
     /// Too many wrong tokens.
@@ -38,9 +40,10 @@ pub enum Refusal {
 
 impl Refusal {
     /// Every reason.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::NoToken,
         Self::WrongToken,
+        Self::TokenTaken,
         Self::Role,
         Self::FailedTokens,
         Self::TokenInUrl,
@@ -61,6 +64,7 @@ impl Refusal {
         match self {
             Self::NoToken => "no-token",
             Self::WrongToken => "wrong-token",
+            Self::TokenTaken => "token-taken",
             Self::Role => "role",
             Self::FailedTokens => "failed-tokens",
             Self::TokenInUrl => "token-in-url",

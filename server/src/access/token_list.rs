@@ -2,9 +2,10 @@
 
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::Arc;
 
 use thiserror::Error;
+use tokio::sync::watch;
 
 use super::role::Role;
 use super::secret_file::{SecretFileError, read_secret_file};
@@ -87,6 +88,11 @@ pub enum TokenListError {
         /// Which line of which file, or which element of the configuration.
         place: String,
     },
+    /// The last one was taken away while the server runs.
+    #[error(
+        "no token is left, which would open the server to whoever reaches it; keep one, or stop the server"
+    )]
+    NoneLeft,
     /// Too many.
     #[error("there are more than {TOKENS_MAX} tokens")]
     TooMany,
@@ -96,7 +102,7 @@ pub enum TokenListError {
 pub struct Tokens {
     file: Option<PathBuf>,
     configured: Vec<TokenEntry>,
-    known: RwLock<Arc<[TokenEntry]>>,
+    known: watch::Sender<Arc<[TokenEntry]>>,
 }
 
 impl Tokens {
@@ -112,7 +118,7 @@ impl Tokens {
         Ok(Self {
             file,
             configured,
-            known: RwLock::new(known),
+            known: watch::Sender::new(known),
         })
     }
 
@@ -123,7 +129,11 @@ impl Tokens {
     pub fn read_again(&self) -> Result<usize, TokenListError> {
         let known = read(self.file.as_deref(), &self.configured)?;
         let count = known.len();
-        *self.known.write().unwrap_or_else(PoisonError::into_inner) = known;
+        if count == 0 && !self.is_empty() {
+            // Without any token everything is open.
+            return Err(TokenListError::NoneLeft);
+        }
+        self.known.send_replace(known);
         Ok(count)
     }
 
@@ -132,20 +142,25 @@ impl Tokens {
         self.known().is_empty()
     }
 
-    /// Who holds a token. Looks through all of them, so that the time tells nothing about which it was.
-    pub fn holder(&self, token: &str) -> Option<(Role, String)> {
+    /// What is known of a token. Looks through all of them, so that the time tells nothing about which it was.
+    pub fn holder(&self, token: &str) -> Option<TokenEntry> {
         let digest = TokenDigest::of(token);
         let mut holder = None;
         for entry in self.known().iter() {
             if entry.digest.is(&digest) {
-                holder = Some((entry.role, entry.name.clone()));
+                holder = Some(entry.clone());
             }
         }
         holder
     }
 
+    /// What is known now, and word of every change of that.
+    pub(super) fn watch(&self) -> watch::Receiver<Arc<[TokenEntry]>> {
+        self.known.subscribe()
+    }
+
     fn known(&self) -> Arc<[TokenEntry]> {
-        Arc::clone(&self.known.read().unwrap_or_else(PoisonError::into_inner))
+        Arc::clone(&self.known.borrow())
     }
 }
 
@@ -216,9 +231,10 @@ mod tests {
         let (_folder, path) = file(&text);
         let entry = TokenEntry::parse(&line("steer", "show", "ccc")).expect("a token");
         let tokens = Tokens::open(Some(path.clone()), vec![entry]).expect("tokens");
-        let holds = |token: &str| tokens.holder(token).map(|(role, _)| role);
+        let holds = |token: &str| tokens.holder(token).map(|entry| entry.role);
         assert_eq!(holds("aaa"), Some(Role::View));
-        assert_eq!(tokens.holder("bbb"), Some((Role::Admin, "ops".to_owned())));
+        let ops = tokens.holder("bbb").expect("known");
+        assert_eq!((ops.role, ops.name.as_str()), (Role::Admin, "ops"));
         assert_eq!(holds("ccc"), Some(Role::Steer));
         assert_eq!(holds("ddd"), None);
         assert_eq!(holds(""), None);
@@ -228,6 +244,21 @@ mod tests {
         std::fs::write(&path, "view guests").expect("written");
         assert!(tokens.read_again().is_err());
         assert_eq!(holds("eee"), Some(Role::View), "what was known stays");
+    }
+
+    #[test]
+    fn the_last_token_is_not_taken_away_and_a_server_without_any_may_get_one() {
+        let (_folder, path) = file(&line("view", "guests", "aaa"));
+        let tokens = Tokens::open(Some(path.clone()), vec![]).expect("tokens");
+        std::fs::write(&path, "# nobody\n").expect("written");
+        assert!(matches!(tokens.read_again(), Err(TokenListError::NoneLeft)));
+        assert!(tokens.holder("aaa").is_some());
+        let tokens = Tokens::open(Some(path.clone()), vec![]).expect("tokens");
+        let known = tokens.watch();
+        assert_eq!(tokens.read_again().expect("none as before"), 0);
+        std::fs::write(&path, line("view", "guests", "bbb")).expect("written");
+        assert_eq!(tokens.read_again().expect("one"), 1);
+        assert!(known.has_changed().expect("open") && !tokens.is_empty());
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Router;
 use axum::body::Body;
 use axum::extract::{DefaultBodyLimit, Path, Query, State};
-use axum::http::header::{ACCEPT, CONTENT_DISPOSITION, CONTENT_TYPE, ETAG, HeaderValue, VARY};
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, ETAG, HeaderValue, VARY};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
@@ -15,8 +15,9 @@ use skycell_protocol::scene::MapKind;
 use tokio::sync::{Semaphore, SemaphorePermit};
 
 use super::Problem;
+use super::picture_format::picture_format;
 use super::scene::{document, is_known, not_modified, problem_of, read_precondition, tag_of};
-use crate::field::{MAP_FILE_MAX_BYTES, MapFileFormat};
+use crate::field::MAP_FILE_MAX_BYTES;
 use crate::scene::{MapChoice, ScenePatchError, SceneSnapshot};
 use crate::stream::StreamContext;
 
@@ -25,6 +26,9 @@ static MAP_WORK: Semaphore = Semaphore::const_new(1);
 
 /// How much of a file that is too long is read and dropped.
 const DISCARDED_MAX_BYTES: u64 = 4 * MAP_FILE_MAX_BYTES;
+
+/// What a map is, for who asks for something else.
+const WHAT: &str = "a map is image/png (16 bits) or image/x-exr (32-bit floats)";
 
 /// What may stand behind the question mark.
 #[derive(Debug, Deserialize)]
@@ -53,61 +57,6 @@ fn choice(kind: &str, query: &MapQuery) -> Result<MapChoice, Problem> {
         kind,
         layer: query.layer.clone(),
     })
-}
-
-/// The format that is asked for: by the query, else by the Accept header, else PNG.
-fn format_of(query: &MapQuery, headers: &HeaderMap) -> Result<MapFileFormat, Problem> {
-    let formats = [MapFileFormat::Png, MapFileFormat::Exr];
-    if let Some(asked) = &query.format {
-        return formats
-            .into_iter()
-            .find(|format| format.extension() == asked)
-            .ok_or_else(|| {
-                Problem::new(
-                    StatusCode::BAD_REQUEST,
-                    format!("format is {asked:?}; allowed: png, exr"),
-                )
-            });
-    }
-    let accepted = accepted(headers);
-    let is_accepted = |format: &MapFileFormat| {
-        accepted
-            .iter()
-            .any(|kind| kind.eq_ignore_ascii_case(format.media_type()))
-    };
-    if let Some(named) = formats.into_iter().find(is_accepted) {
-        return Ok(named);
-    }
-    if accepts(headers, MapFileFormat::Png.media_type()) {
-        return Ok(MapFileFormat::Png);
-    }
-    Err(Problem::new(
-        StatusCode::NOT_ACCEPTABLE,
-        "a map is image/png (16 bits) or image/x-exr (32-bit floats)",
-    ))
-}
-
-/// The media types of the Accept header, without their parameters.
-fn accepted(headers: &HeaderMap) -> Vec<&str> {
-    headers
-        .get_all(ACCEPT)
-        .iter()
-        .filter_map(|header| header.to_str().ok())
-        .flat_map(|list| list.split(','))
-        .filter_map(|item| item.split(';').next())
-        .map(str::trim)
-        .collect()
-}
-
-/// Whether a client takes a picture of a media type.
-pub(super) fn accepts(headers: &HeaderMap, picture: &str) -> bool {
-    let accepted = accepted(headers);
-    accepted.is_empty()
-        || accepted.iter().any(|kind| {
-            ["*/*", "image/*", picture]
-                .iter()
-                .any(|ours| kind.eq_ignore_ascii_case(ours))
-        })
 }
 
 async fn turn() -> Result<SemaphorePermit<'static>, Problem> {
@@ -140,7 +89,7 @@ async fn read(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let choice = choice(&kind, &query)?;
-    let format = format_of(&query, &headers)?;
+    let format = picture_format(query.format.as_deref(), &headers, WHAT)?;
     let tag = tag_of(context.scene.snapshot().revision);
     if is_known(&headers, &tag) {
         return Ok(not_modified(tag));

@@ -4,6 +4,7 @@ mod figures;
 mod maps;
 mod openapi;
 mod page;
+mod picture_format;
 mod presets;
 mod problem;
 mod revisions;

@@ -4,17 +4,21 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::body::Bytes;
-use axum::extract::State;
 use axum::extract::rejection::BytesRejection;
+use axum::extract::{Extension, Query, State};
 use axum::http::header::{
     ACCEPT, CONTENT_TYPE, ETAG, HeaderName, HeaderValue, IF_MATCH, IF_NONE_MATCH,
 };
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
 use serde_json::Value;
 
 use super::{Problem, maps};
-use crate::scene::{Precondition, SceneJsonPatch, ScenePatchError, SceneSnapshot, SceneStore};
+use crate::access::Peer;
+use crate::scene::{
+    ChangeGroup, Precondition, SceneJsonPatch, ScenePatchError, SceneSnapshot, SceneStore,
+};
 use crate::stream::StreamContext;
 
 pub(super) const MERGE_PATCH: &str = "application/merge-patch+json";
@@ -49,9 +53,30 @@ pub(super) fn not_modified(tag: String) -> Response {
     (StatusCode::NOT_MODIFIED, [(ETAG, tag)]).into_response()
 }
 
+/// What may stand behind the question mark of a change.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ChangeQuery {
+    /// The changes to which it belongs: together they are one revision to whoever looks back.
+    group: Option<String>,
+}
+
+impl ChangeQuery {
+    /// The group that is asked for, of who asks.
+    pub(super) fn group_of(&self, peer: Peer) -> Result<Option<ChangeGroup>, Problem> {
+        let group = self.group.as_deref();
+        group
+            .map(|name| ChangeGroup::new(peer.key.to_string(), name))
+            .transpose()
+            .map_err(Problem::bad_value)
+    }
+}
+
 /// Changes the document, by a patch of the kind that the content type tells.
 pub(super) async fn patch(
     State(context): State<Arc<StreamContext>>,
+    Extension(peer): Extension<Peer>,
+    Query(query): Query<ChangeQuery>,
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Response, Problem> {
@@ -60,6 +85,7 @@ pub(super) async fn patch(
         .find(|kind| essence_of(&headers).eq_ignore_ascii_case(kind))
         .ok_or_else(|| wrong_content_type(&headers, PATCHES))?;
     let precondition = read_precondition(&headers)?;
+    let group = query.group_of(peer)?;
     let body = body.map_err(|rejection| Problem::new(rejection.status(), rejection.body_text()))?;
     let patch: Value = serde_json::from_slice(&body).map_err(|error| {
         Problem::new(
@@ -70,9 +96,15 @@ pub(super) async fn patch(
     let snapshot = if kind == JSON_PATCH {
         let patch = SceneJsonPatch::from_json(&patch)
             .map_err(|error| Problem::bad_value(error).with_status(StatusCode::BAD_REQUEST))?;
-        change(&context, move |scene| scene.apply(&precondition, &patch)).await?
+        change(&context, move |scene| {
+            scene.apply(&precondition, &patch, group)
+        })
+        .await?
     } else {
-        change(&context, move |scene| scene.patch(&precondition, &patch)).await?
+        change(&context, move |scene| {
+            scene.patch_in(&precondition, &patch, group)
+        })
+        .await?
     };
     Ok(document(&snapshot))
 }

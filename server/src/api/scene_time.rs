@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
-use axum::extract::{Query, State};
+use axum::extract::{Extension, Query, State};
 use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
 use schemars::JsonSchema;
@@ -16,7 +16,8 @@ use skycell_protocol::scene::{SceneDocument, TimeChange};
 use skycell_protocol::{Moment, SceneError, ValueError};
 
 use super::Problem;
-use super::scene::{change, etag, read_json_body, read_precondition};
+use super::scene::{ChangeQuery, change, etag, read_json_body, read_precondition};
+use crate::access::Peer;
 use crate::clock;
 use crate::scene::SceneSnapshot;
 use crate::stream::StreamContext;
@@ -94,14 +95,17 @@ fn report(snapshot: &SceneSnapshot, now: Moment) -> Response {
 /// Stops the clock, lets it go on, sets it, or gives it another rate: what is not given stays as it is.
 pub(super) async fn put(
     State(context): State<Arc<StreamContext>>,
+    Extension(peer): Extension<Peer>,
+    Query(query): Query<ChangeQuery>,
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Response, Problem> {
     let precondition = read_precondition(&headers)?;
+    let group = query.group_of(peer)?;
     let body = read_json_body(&headers, body)?;
     let wanted = read_change(&body, &context.scene.snapshot()).map_err(Problem::bad_value)?;
     let snapshot = change(&context, move |scene| {
-        scene.change_time(&precondition, &wanted)
+        scene.change_time(&precondition, &wanted, group)
     })
     .await?;
     Ok(report(&snapshot, clock::now()))

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use axum::Router;
 use axum::extract::{Query, State};
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, HeaderName, HeaderValue, RETRY_AFTER};
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, HeaderName, HeaderValue, RETRY_AFTER, VARY};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
@@ -18,7 +18,8 @@ use skycell_protocol::{Camera, Codec, FrameHeader, FrameSize, RendererKind, Show
 use tokio::sync::Semaphore;
 
 use super::Problem;
-use super::maps::accepts;
+use super::picture_format::picture_format;
+use crate::field::MapFileFormat;
 use crate::frame_loop::interface::{FRAMES_IN_FLIGHT_MAX, RenderCommand, ViewRequest};
 use crate::stream::{LeaveOnDrop, StreamContext};
 
@@ -41,7 +42,8 @@ pub(super) const PIXELS_MAX: u32 = 1920 * 1080;
 pub(super) const SIZE: [u32; 2] = [640, 360];
 
 const ENDING: &str = "the server is shutting down";
-const PNG: &str = "image/png";
+const WHAT: &str =
+    "a snapshot is image/png (as it is shown) or image/x-exr (linear radiance, 32-bit floats)";
 const SCENE_REVISION: HeaderName = HeaderName::from_static("skycell-scene-revision");
 const EXACT: HeaderName = HeaderName::from_static("skycell-exact");
 
@@ -60,7 +62,7 @@ impl Default for SnapshotQueue {
     }
 }
 
-/// What may stand behind the question mark: a camera and a size; what is left out is as for a new viewer.
+/// What may stand behind the question mark: a camera, a size and a format; what is left out is as for a new viewer.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SnapshotQuery {
@@ -72,6 +74,7 @@ pub(super) struct SnapshotQuery {
     fov_deg: Option<f64>,
     width: Option<u32>,
     height: Option<u32>,
+    format: Option<String>,
 }
 
 pub(super) fn routes() -> Router<Arc<StreamContext>> {
@@ -83,13 +86,11 @@ async fn snapshot(
     Query(query): Query<SnapshotQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    if !accepts(&headers, PNG) {
-        return Err(Problem::new(
-            StatusCode::NOT_ACCEPTABLE,
-            "a snapshot is image/png",
-        ));
-    }
-    let view = view_of(&query).map_err(Problem::bad_value)?;
+    let format = picture_format(query.format.as_deref(), &headers, WHAT)?;
+    let view = ViewRequest {
+        linear: format == MapFileFormat::Exr,
+        ..view_of(&query).map_err(Problem::bad_value)?
+    };
     if context.draining.is_cancelled() {
         return Err(unavailable(ENDING));
     }
@@ -104,7 +105,7 @@ async fn snapshot(
         let _turn = context.snapshots.turn.acquire().await;
         picture(&context, view).await
     };
-    let (header, png) = tokio::select! {
+    let (header, file) = tokio::select! {
         made = tokio::time::timeout(TIMEOUT, made) => made.unwrap_or_else(|_| {
             Err(unavailable("no frame was ready in time; try again later"))
         })?,
@@ -112,9 +113,10 @@ async fn snapshot(
             return Err(unavailable(ENDING));
         }
     };
-    let mut response = axum::body::Body::from(png).into_response();
+    let mut response = axum::body::Body::from(file).into_response();
     let told = response.headers_mut();
-    told.insert(CONTENT_TYPE, HeaderValue::from_static(PNG));
+    told.insert(CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
+    told.insert(VARY, HeaderValue::from_static("accept"));
     // The next one is another.
     told.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
     told.insert(SCENE_REVISION, HeaderValue::from(header.scene_revision));
@@ -165,6 +167,7 @@ fn view_of(query: &SnapshotQuery) -> Result<ViewRequest, ValueError> {
         show: Show::Picture,
         stereo: None,
         haze: false,
+        linear: false,
     })
 }
 
@@ -183,7 +186,7 @@ fn named_as_in_the_query(error: ValueError) -> ValueError {
     }
 }
 
-/// The first frame that has settled, as PNG.
+/// The first frame that has settled, as PNG or EXR.
 async fn picture(
     context: &StreamContext,
     view: ViewRequest,
@@ -240,6 +243,7 @@ mod tests {
             fov_deg: None,
             width: None,
             height: None,
+            format: None,
         }
     }
 

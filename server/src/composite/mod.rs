@@ -99,6 +99,19 @@ pub fn composite_key(
     }
 }
 
+/// A composite of linear radiance: no curve of its own is compiled in.
+#[must_use]
+pub fn linear_key(key: PipelineKey) -> PipelineKey {
+    PipelineKey {
+        features: Features {
+            linear_output: true,
+            tone: Tone::default(),
+            ..key.features
+        },
+        ..key
+    }
+}
+
 /// What the shaders call a curve.
 fn tone_of(curve: ToneCurve) -> Tone {
     match curve {

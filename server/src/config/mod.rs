@@ -9,6 +9,7 @@ mod tests;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
+use crate::access::{PROXIES_MAX, ProxyHeader, ProxyNet, TrustedProxies};
 use crate::encode::video::{KBIT_PER_S_MAX, KBIT_PER_S_MIN};
 use crate::march::{
     BANDS, BandEnds, DOME_FOLLOW_M, PROXIES_PER_LAYER_MAX, ProxySettings, ProxySetup,
@@ -88,6 +89,10 @@ pub struct Config {
     pub allowed_origins: Vec<String>,
     /// Names under which clients reach this server, such as `sky.example`, beside `localhost` and addresses.
     pub allowed_hosts: Vec<String>,
+    /// Reverse proxies that are believed where requests come from: addresses or networks, such as `10.0.0.0/8`.
+    pub trusted_proxies: Vec<ProxyNet>,
+    /// The header in which they tell it.
+    pub proxy_header: ProxyHeader,
     /// File of tokens, one a line. With any token, here or there, every request needs one.
     pub tokens_file: Option<PathBuf>,
     /// Tokens, as lines of that file.
@@ -370,6 +375,8 @@ impl Config {
         "drain_s",
         "allowed_origins",
         "allowed_hosts",
+        "trusted_proxies",
+        "proxy_header",
         "tokens_file",
         "tokens",
         "limits",
@@ -395,6 +402,8 @@ impl Config {
             drain_s: 5.0,
             allowed_origins: Vec::new(),
             allowed_hosts: Vec::new(),
+            trusted_proxies: Vec::new(),
+            proxy_header: ProxyHeader::default(),
             tokens_file: None,
             tokens: ConfiguredTokens::default(),
             limits: LimitsConfig::default(),
@@ -447,6 +456,8 @@ impl Config {
             drain_s: number(&members, "drain_s", DRAIN_S, default.drain_s)?,
             allowed_origins: members.member_or("allowed_origins", default.allowed_origins)?,
             allowed_hosts: members.member_or("allowed_hosts", default.allowed_hosts)?,
+            trusted_proxies: read_trusted_proxies(&members)?,
+            proxy_header: members.member_or("proxy_header", default.proxy_header)?,
             tokens_file: members
                 .optional::<String>("tokens_file")?
                 .map(PathBuf::from),
@@ -475,6 +486,16 @@ impl Config {
             cells: read_cells(&members)?,
             state_dir: default.state_dir,
         })
+    }
+
+    /// The proxies that are believed.
+    pub fn proxies(&self) -> TrustedProxies {
+        TrustedProxies::new(self.trusted_proxies.clone(), self.proxy_header)
+    }
+
+    /// Whether only programs of this machine ask, by a proxy either.
+    pub fn serves_this_machine_alone(&self) -> bool {
+        self.listen.ip().to_canonical().is_loopback() && self.trusted_proxies.is_empty()
     }
 
     /// Logs the whole configuration and what in the environment looks like ours and is not;
@@ -523,6 +544,18 @@ fn read_endpoint(members: &ObjectReader<'_>) -> Result<Option<String>, ValueErro
         }
         endpoint => Ok(endpoint),
     }
+}
+
+fn read_trusted_proxies(members: &ObjectReader<'_>) -> Result<Vec<ProxyNet>, ValueError> {
+    let proxies: Vec<ProxyNet> = members.member_or("trusted_proxies", Vec::new())?;
+    if proxies.len() > PROXIES_MAX {
+        return Err(ValueError::new(
+            "/trusted_proxies",
+            &Value::from(format!("{} networks", proxies.len())),
+            format!("0 to {PROXIES_MAX} networks"),
+        ));
+    }
+    Ok(proxies)
 }
 
 fn read_cells(members: &ObjectReader<'_>) -> Result<Vec<PlacedCell>, ValueError> {

@@ -38,6 +38,8 @@ const KEYS: &[(&str, Kind)] = &[
     ("drain_s", Kind::Number),
     ("allowed_origins", Kind::List),
     ("allowed_hosts", Kind::List),
+    ("trusted_proxies", Kind::List),
+    ("proxy_header", Kind::Text),
     ("tokens_file", Kind::Text),
     ("tokens", Kind::List),
     ("limits/requests_per_s", Kind::Number),

@@ -163,6 +163,22 @@ fn a_bad_value_is_told_with_its_source_and_what_is_allowed() {
             ["file ", "/cells/1/name"],
         ),
         (
+            "trusted_proxies = ['10.0.0.1', '0.0.0.0/0']",
+            vec![],
+            [
+                "file ",
+                "/trusted_proxies/1 is \"0.0.0.0/0\"; allowed: an address or a network",
+            ],
+        ),
+        (
+            "",
+            vec![("SKYCELL_PROXY_HEADER", "via")],
+            [
+                "environment",
+                "/proxy_header is \"via\"; allowed: \"x-forwarded-for\"",
+            ],
+        ),
+        (
             "[limits]\nmegapixels_max = 0",
             vec![],
             ["file ", "/limits/megapixels_max is 0; allowed: 1 to 16384"],
@@ -334,4 +350,23 @@ fn tokens_come_from_the_file_and_the_environment_and_are_never_repeated() {
         assert!(message.contains("/tokens/0"), "{message}");
         assert!(!message.contains("sky_secret"), "{message}");
     }
+}
+
+#[test]
+fn a_server_behind_a_proxy_is_not_for_this_machine_alone() {
+    let variables = [("SKYCELL_TRUSTED_PROXIES", "127.0.0.1, fd00::/8")];
+    let config = resolve("proxy_header = 'forwarded'", &variables).expect("resolves");
+    assert_eq!(config.trusted_proxies.len(), 2);
+    assert!(!config.serves_this_machine_alone());
+    let text = serde_json::to_value(&config).expect("JSON");
+    assert_eq!(
+        text["trusted_proxies"],
+        serde_json::json!(["127.0.0.1/32", "fd00::/8"])
+    );
+    assert_eq!(text["proxy_header"], "forwarded");
+    assert!(
+        resolve("", &[])
+            .expect("resolves")
+            .serves_this_machine_alone()
+    );
 }

@@ -1,9 +1,10 @@
 //! One picture in one format.
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
+use image::{ExtendedColorType, ImageEncoder, ImageFormat};
 use skycell_protocol::clouds::{self, CloudsError, CloudsHeader};
 use skycell_protocol::{Codec, FrameSize};
+use std::io::Cursor;
 use thiserror::Error;
 
 /// Why pixels are not a picture.
@@ -28,6 +29,9 @@ pub enum EncodeError {
     /// The PNG encoder refuses.
     #[error("PNG: {0}")]
     Png(#[from] image::ImageError),
+    /// The EXR encoder refuses.
+    #[error("EXR: {0}")]
+    Exr(#[source] image::ImageError),
     /// They are no clouds.
     #[error("clouds: {0}")]
     Clouds(#[from] CloudsError),
@@ -90,6 +94,45 @@ pub fn encode_after(
         }
         Codec::H264 | Codec::Clouds => return Err(EncodeError::WrongKind(codec)),
     }
+    Ok(())
+}
+
+/// An EXR file of linear radiance: 32-bit floats of red, green and blue, so that both the sun's disc and a night keep their
+/// digits. `rgb` has three values a pixel, rows from top to bottom.
+///
+/// # Errors
+/// If there are not as many values as the size tells.
+pub fn exr_of(size: FrameSize, rgb: Vec<f32>) -> Result<Vec<u8>, EncodeError> {
+    let (width, height) = (size.width(), size.height());
+    let found = size_of_val(rgb.as_slice());
+    let picture =
+        image::Rgb32FImage::from_raw(width, height, rgb).ok_or(EncodeError::WrongLength {
+            found,
+            expected: size.pixels() as usize * 12,
+            width,
+            height,
+        })?;
+    let mut file = Cursor::new(Vec::new());
+    picture
+        .write_to(&mut file, ImageFormat::OpenExr)
+        .map_err(EncodeError::Exr)?;
+    Ok(file.into_inner())
+}
+
+/// Appends an EXR file of frames of linear radiance to `out`.
+///
+/// # Errors
+/// If the pixels do not fit the size.
+pub fn encode_exr_after(
+    out: &mut Vec<u8>,
+    pixels: &[u8],
+    size: FrameSize,
+) -> Result<(), EncodeError> {
+    let rgb = pixels
+        .chunks_exact(16)
+        .flat_map(|pixel| [0, 4, 8].map(|at| bytemuck::pod_read_unaligned(&pixel[at..at + 4])))
+        .collect();
+    out.extend(exr_of(size, rgb)?);
     Ok(())
 }
 

@@ -22,7 +22,7 @@ use std::time::Instant;
 
 use skycell_protocol::{Codec, FrameHeader, FrameStages};
 
-pub use codec::{EncodeError, encode_after, encode_clouds_after};
+pub use codec::{EncodeError, encode_after, encode_clouds_after, encode_exr_after, exr_of};
 pub use stream::{StreamPicture, ViewerStream};
 
 use crate::clock::saturating_us;
@@ -181,6 +181,7 @@ fn encode(
         let pixels = frame.pixels.rgba();
         match &frame.clouds {
             Some(header) => encode_clouds_after(&mut message, pixels, header)?,
+            None if frame.linear => encode_exr_after(&mut message, pixels, frame.size)?,
             None => encode_after(&mut message, pixels, frame.size, frame.codec, quality)?,
         }
         let mut rate = viewer.rate();
@@ -198,6 +199,8 @@ fn encode(
     let encode_time = encoded.saturating_duration_since(started);
     metrics.frames_encoded.fetch_add(1, Ordering::Relaxed);
     match made.codec {
+        // No codec of viewers.
+        _ if frame.linear => {}
         Codec::Jpeg => metrics.encode_jpeg_s.record(encode_time),
         Codec::Png => metrics.encode_png_s.record(encode_time),
         Codec::H264 => metrics.encode_h264_s.record(encode_time),

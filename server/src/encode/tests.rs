@@ -79,6 +79,7 @@ impl Bench {
             show: skycell_protocol::Show::Picture,
             stereo: None,
             haze: true,
+            linear: false,
         };
         self.registry.join(view).expect("room")
     }
@@ -117,6 +118,7 @@ impl Bench {
                 .map_or(Codec::Png, |viewer| viewer.view().codec),
             jpeg_quality: 85,
             clouds: None,
+            linear: false,
             coarse: true,
             exact: true,
             refines,

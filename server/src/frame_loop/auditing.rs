@@ -312,6 +312,7 @@ mod tests {
                 show: skycell_protocol::Show::Picture,
                 stereo: None,
                 haze: true,
+                linear: false,
             },
         );
         loop {

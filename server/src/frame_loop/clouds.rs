@@ -1,27 +1,28 @@
-//! Viewers who ask for clouds alone. What their frames need is made beside the frames when the first of them comes; before, and
-//! where nobody asks, nothing of it exists.
+//! Viewers whose frames are no pictures: clouds alone, or linear radiance. What such frames need is made beside the frames when
+//! the first of them comes; before, and where nobody asks, nothing of it exists.
 
 use super::renderer::{SkyRenderer, frame_key};
 use super::viewers_on_device::ActiveViewer;
 use crate::composite::{
-    PictureFormat, clouds_key, fade_key_of, ground_key, pre_exposure, with_parallax,
+    PictureFormat, clouds_key, fade_key_of, ground_key, linear_key, pre_exposure, with_parallax,
 };
 use crate::config::FrameFilter;
 use crate::gpu::PipelineKey;
 use crate::march::LayerBlend;
-use skycell_protocol::{CellId, Codec, Scene};
+use skycell_protocol::{CellId, Scene};
 use skycell_shaders::Shown;
 use std::collections::BTreeSet;
 
-/// Why a viewer who asks for clouds alone is sent nothing yet.
+/// Why a viewer whose frames are no pictures is sent nothing yet.
 pub(super) const BEING_MADE: &str =
-    "what makes clouds alone is being made; frames come when it is there";
+    "what makes such frames is being made; frames come when it is there";
 
-/// A composite, or a mix, as the frames of a codec need it.
-pub(super) fn of_codec(key: PipelineKey, codec: Codec, haze: bool) -> PipelineKey {
-    match PictureFormat::of(codec) {
+/// A composite as frames of a format need it.
+pub(super) fn of_format(key: PipelineKey, format: PictureFormat, haze: bool) -> PipelineKey {
+    match format {
         PictureFormat::Clouds => clouds_key(key, haze),
-        PictureFormat::Display | PictureFormat::Linear => key,
+        PictureFormat::Linear => linear_key(key),
+        PictureFormat::Display => key,
     }
 }
 
@@ -30,7 +31,7 @@ impl SkyRenderer {
     pub(super) fn clouds_asked(&self) -> BTreeSet<bool> {
         let views = self.viewers.values().map(|viewer| viewer.view);
         views
-            .filter(|view| view.codec == Codec::Clouds)
+            .filter(|view| view.picture_format() == PictureFormat::Clouds)
             .map(|view| view.haze)
             .collect()
     }
@@ -54,19 +55,22 @@ impl SkyRenderer {
         keys
     }
 
-    /// What a viewer's frames come to need, if it asks for clouds alone.
-    pub(super) fn own_clouds_keys(&self, viewer: &ActiveViewer) -> Vec<PipelineKey> {
-        if viewer.view.codec != Codec::Clouds {
+    /// What a viewer's frames come to need, if they are no pictures.
+    pub(super) fn own_format_keys(&self, viewer: &ActiveViewer) -> Vec<PipelineKey> {
+        let format = viewer.view.picture_format();
+        if format == PictureFormat::Display {
             return Vec::new();
         }
         let mut keys = self.possible_keys(viewer, Shown::Picture);
-        keys.push(fade_key_of(PictureFormat::Clouds));
+        if format == PictureFormat::Clouds {
+            keys.push(fade_key_of(format));
+        }
         keys
     }
 
     /// Whether a viewer cannot be sent what it asks for yet.
-    pub(super) fn waits_for_clouds(&self, viewer: &ActiveViewer) -> bool {
-        let keys = self.own_clouds_keys(viewer);
+    pub(super) fn waits_for_format(&self, viewer: &ActiveViewer) -> bool {
+        let keys = self.own_format_keys(viewer);
         keys.into_iter()
             .any(|key| self.pipelines.get(key).is_none())
     }
@@ -86,8 +90,8 @@ mod tests {
     use super::*;
     use crate::config::PlacedCell;
     use serde_json::json;
-    use skycell_protocol::ViewerId;
     use skycell_protocol::clouds::{Clouds, append};
+    use skycell_protocol::{Codec, ViewerId};
     use skycell_shaders::CloudsAlone;
     use std::sync::{Arc, Mutex};
     use std::time::{Duration, Instant};
@@ -146,7 +150,7 @@ mod tests {
         let begun = Instant::now();
         while driven
             .renderer
-            .waits_for_clouds(&driven.renderer.viewers[&ALONE])
+            .waits_for_format(&driven.renderer.viewers[&ALONE])
         {
             driven.renderer.take_views();
             assert!(begun.elapsed() < Duration::from_secs(60), "never made");
@@ -181,7 +185,7 @@ mod tests {
         driven.renderer.join(ALONE, asked);
         // The render thread does not make them.
         let viewer = &driven.renderer.viewers[&ALONE];
-        assert!(driven.renderer.waits_for_clouds(viewer));
+        assert!(driven.renderer.waits_for_format(viewer));
         assert_eq!(driven.renderer.shown_to(viewer).1, Some(BEING_MADE));
         driven.renderer.leave(ALONE);
         join(&mut driven);

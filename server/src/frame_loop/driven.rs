@@ -58,6 +58,7 @@ pub(super) fn view(size: [u32; 2], camera: Camera) -> ViewRequest {
         show: Show::Picture,
         stereo: None,
         haze: true,
+        linear: false,
     }
 }
 

@@ -12,6 +12,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Instant;
 
 use crate::audit::AuditStats;
+use crate::composite::PictureFormat;
 use crate::gpu::DeviceInventory;
 use crate::quality::QualitySettings;
 use schemars::JsonSchema;
@@ -55,6 +56,8 @@ pub struct ViewRequest {
     pub stereo: Option<Stereo>,
     /// Colour of clouds alone includes the haze in front of them.
     pub haze: bool,
+    /// Frames hold linear radiance, whatever the codec says: for snapshots. They show one cell and one renderer at a time.
+    pub linear: bool,
 }
 
 impl ViewRequest {
@@ -70,6 +73,16 @@ impl ViewRequest {
         match self.stereo {
             None => vec![*camera],
             Some(stereo) => stereo.eyes(camera).to_vec(),
+        }
+    }
+
+    /// What a pixel of its frames is.
+    #[must_use]
+    pub fn picture_format(&self) -> PictureFormat {
+        if self.linear {
+            PictureFormat::Linear
+        } else {
+            PictureFormat::of(self.codec)
         }
     }
 
@@ -149,7 +162,7 @@ pub enum RenderCommand {
 /// the ring that it came from.
 pub trait FramePixels: Send {
     /// Red, green, blue, alpha; 8 bits each, sRGB; rows from top to bottom without padding. Of clouds alone what
-    /// [`skycell_protocol::clouds::append`] takes.
+    /// [`skycell_protocol::clouds::append`] takes; of linear radiance red, green, blue and 1 as f32 each.
     fn rgba(&self) -> &[u8];
 }
 
@@ -187,6 +200,8 @@ pub struct FinishedFrame {
     pub jpeg_quality: u8,
     /// What clouds alone say of themselves.
     pub clouds: Option<CloudsHeader>,
+    /// Its pixels are linear radiance: it becomes an EXR file.
+    pub linear: bool,
     /// Some visible part of the sky is not yet at the resolution that was asked for.
     pub coarse: bool,
     /// Nothing finer comes while the view rests.
@@ -201,7 +216,7 @@ pub struct FinishedFrame {
     pub submitted_unix_us: u64,
     /// When its pixels had arrived.
     pub read_back: Instant,
-    /// `size.pixels() * 4` bytes, or three times as many of clouds alone.
+    /// `size.pixels() * 4` bytes, three times as many of clouds alone, four times of linear radiance.
     pub pixels: Box<dyn FramePixels>,
 }
 

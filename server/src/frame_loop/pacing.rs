@@ -826,7 +826,7 @@ impl FrameLoop {
 
     /// Whether a viewer can be sent another frame.
     fn has_room(&self, viewer: &ActiveViewer) -> bool {
-        viewer.has_room() && !self.renderer.waits_for_clouds(viewer)
+        viewer.has_room() && !self.renderer.waits_for_format(viewer)
     }
 
     /// When the next frame is due of those whose viewers have room for one.

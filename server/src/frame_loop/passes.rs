@@ -1,6 +1,6 @@
 //! What is submitted to the device: batches of texels, strips of pixels, frames and their way back.
 
-use super::clouds::of_codec;
+use super::clouds::of_format;
 use super::eyes::EyesPicture;
 use super::interface::{FinishedFrame, FrameSink};
 use super::renderer::{SkyRenderer, frame_key};
@@ -246,6 +246,7 @@ impl SkyRenderer {
                         pre_exposure,
                         haze: view.haze,
                     }),
+                    linear: view.linear,
                     coarse,
                     exact,
                     refinement,
@@ -377,7 +378,7 @@ impl SkyRenderer {
         let filter = viewer.quality.settings.frame_filter;
         let blend = self.blend();
         let plain = frame_key(&self.gpu, &self.scene, filter, blend, screen_space);
-        let plain = of_codec(plain, viewer.view.codec, viewer.view.haze);
+        let plain = of_format(plain, viewer.view.picture_format(), viewer.view.haze);
         let keys: Vec<PipelineKey> = self
             .keys_for(viewer, id, plain)
             .into_iter()

@@ -433,6 +433,7 @@ impl SkyRenderer {
                     show: skycell_protocol::Show::Picture,
                     stereo: None,
                     haze: true,
+                    linear: false,
                 },
             );
             self.refresh_cells();

@@ -34,7 +34,10 @@ impl SkyRenderer {
         let viewer = self.viewers.get(&id)?;
         let bytes = PictureFade::bytes_of(viewer.view.picture_size(), viewer.picture.format());
         let hidden = self.hidden_between(&viewer.shown_camera, &viewer.view.camera);
-        let is_seen = viewer.frames_composited > 0 && viewer.transition.is_none() && hidden < 1.0;
+        let is_seen = viewer.frames_composited > 0
+            && viewer.transition.is_none()
+            && hidden < 1.0
+            && !viewer.view.linear;
         if !is_seen || self.fade_bytes() + bytes > PICTURES_BYTES_MAX {
             return None;
         }

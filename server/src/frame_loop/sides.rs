@@ -5,19 +5,19 @@
 mod tests;
 
 use super::cells_on_device::ActiveCell;
-use super::clouds::of_codec;
+use super::clouds::of_format;
 use super::interface::ViewRequest;
 use super::renderer::{SkyRenderer, frame_key};
 use super::viewers_on_device::ActiveViewer;
 use crate::cells::Storeys;
-use crate::composite::{ground_key, with_above, with_inside, with_parallax};
+use crate::composite::{PictureFormat, ground_key, with_above, with_inside, with_parallax};
 use crate::config::FrameFilter;
 use crate::gpu::PipelineKey;
 use crate::march::{
     LayerBlend, REACH_FADE_M, REACH_M, Side, active_layers, layer_bounds_m, near_layers,
 };
 use glam::DVec3;
-use skycell_protocol::{CellId, Codec, RendererKind, Scene};
+use skycell_protocol::{CellId, RendererKind, Scene};
 use skycell_shaders::layout;
 use std::time::{Duration, Instant};
 
@@ -198,13 +198,14 @@ impl SkyRenderer {
         FrameFilter::ALL.into_iter().flat_map(of_filter).collect()
     }
 
-    /// The same as a view's codec needs it.
+    /// The same as a view's frames need it.
     fn side_keys_of(&self, view: &ViewRequest, sides: &[Side]) -> Vec<PipelineKey> {
         let mut keys = self.side_keys(&self.scene, sides);
-        if view.codec == Codec::Clouds {
-            let alone = |key: &PipelineKey| of_codec(*key, view.codec, view.haze);
-            let alone: Vec<PipelineKey> = keys.iter().map(alone).collect();
-            keys.extend(alone);
+        let format = view.picture_format();
+        if format != PictureFormat::Display {
+            let own = |key: &PipelineKey| of_format(*key, format, view.haze);
+            let own: Vec<PipelineKey> = keys.iter().map(own).collect();
+            keys.extend(own);
         }
         keys
     }

@@ -336,6 +336,7 @@ impl StillRenderer {
                 show: settings.show,
                 stereo: settings.stereo,
                 haze: true,
+                linear: false,
             },
         );
         renderer.viewers.get_mut(&VIEWER).is_some_and(|viewer| {

@@ -1,12 +1,12 @@
 //! Clouds alone without a server.
 
-use super::clouds::of_codec;
+use super::clouds::of_format;
 use super::still::{StillRenderer, VIEWER};
 use super::still_settings::StillSettings;
 use crate::composite::{Picture, PictureFormat, ground_key};
 use crate::gpu::{GpuError, PipelineKey, read_buffer_blocking};
 use skycell_protocol::clouds::CloudsHeader;
-use skycell_protocol::{Codec, FrameSize, RendererKind};
+use skycell_protocol::{FrameSize, RendererKind};
 
 /// A picture of clouds alone, as the device leaves it.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,7 +34,7 @@ impl StillRenderer {
         let [display_keys, _] = self.composite_keys(screen_space, settings);
         let keys: Vec<PipelineKey> = display_keys
             .into_iter()
-            .map(|key| of_codec(key, Codec::Clouds, haze))
+            .map(|key| of_format(key, PictureFormat::Clouds, haze))
             .collect();
         let renderer = &mut self.renderer;
         for key in &keys {

@@ -36,6 +36,7 @@ impl StillRenderer {
                 show: settings.show,
                 stereo: None,
                 haze: true,
+                linear: false,
             };
             renderer.join(*id, view);
         }

@@ -389,6 +389,7 @@ mod tests {
                 show: Show::Picture,
                 stereo: None,
                 haze: true,
+                linear: false,
             },
         );
         renderer.refresh_cells();

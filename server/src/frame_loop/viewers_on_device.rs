@@ -9,7 +9,7 @@ use super::screen_space::ScreenSpaceJob;
 use super::transitions::Transition;
 use crate::cache::{LEVELS, TEXELS_PER_TILE, TileRequest};
 use crate::clock::saturating_us;
-use crate::composite::{Picture, PictureFormat, dither_shift, view_frustum, view_uniform};
+use crate::composite::{Picture, dither_shift, view_frustum, view_uniform};
 use crate::gpu::{Gpu, Pipelines, ReadbackRing};
 use crate::march::Side;
 use skycell_protocol::{
@@ -132,13 +132,13 @@ impl ActiveViewer {
 
 /// The picture of a viewer.
 fn picture_of(gpu: &Gpu, pipelines: &Pipelines, view: &ViewRequest) -> Picture {
-    let format = PictureFormat::of(view.codec);
+    let format = view.picture_format();
     Picture::of_format(gpu, pipelines, view.size, view.eyes().len(), format, None)
 }
 
 /// Where it is read back.
 fn new_ring(view: &ViewRequest) -> ReadbackRing {
-    let pixel_bytes = PictureFormat::of(view.codec).pixel_bytes();
+    let pixel_bytes = view.picture_format().pixel_bytes();
     let bytes = u64::from(view.picture_size().pixels()) * pixel_bytes;
     ReadbackRing::new(bytes, READBACKS_PER_VIEWER)
 }
@@ -282,7 +282,7 @@ impl SkyRenderer {
         let before = viewer.view;
         if before.size != view.size
             || before.stereo.is_some() != view.stereo.is_some()
-            || PictureFormat::of(before.codec) != PictureFormat::of(view.codec)
+            || before.picture_format() != view.picture_format()
         {
             viewer.picture = picture_of(&self.gpu, &self.pipelines, &view);
             viewer.ring = new_ring(&view);

@@ -2,16 +2,16 @@
 //! are made beside the frames when somebody first asks for them.
 
 use super::cells_on_device::parallax_steps;
-use super::clouds::{self, of_codec};
+use super::clouds::{self, of_format};
 use super::renderer::{SkyRenderer, frame_key};
 use super::viewers_on_device::ActiveViewer;
 use crate::composite::{
-    CompositeInputs, InspectionInputs, Inspections, Picture, ground_key, inspect_key, shown_key,
-    shown_of, with_above, with_inside, with_parallax,
+    CompositeInputs, InspectionInputs, Inspections, Picture, PictureFormat, ground_key,
+    inspect_key, shown_key, shown_of, with_above, with_inside, with_parallax,
 };
 use crate::gpu::PipelineKey;
 use crate::march::layer_features;
-use skycell_protocol::{Camera, CellId, Codec, RendererKind, Show, ViewerId};
+use skycell_protocol::{Camera, CellId, RendererKind, Show, ViewerId};
 use skycell_shaders::Shown;
 
 /// Why a view of the cache shows the picture instead.
@@ -49,7 +49,7 @@ impl SkyRenderer {
             self.blend(),
             renderer == RendererKind::ScreenSpace,
         );
-        of_codec(key, viewer.view.codec, viewer.view.haze)
+        of_format(key, viewer.view.picture_format(), viewer.view.haze)
     }
 
     fn frame_keys(&self, viewer: &ActiveViewer, shown: Shown) -> Vec<PipelineKey> {
@@ -127,8 +127,8 @@ impl SkyRenderer {
     /// What a viewer's frames show: what it asks for, or the picture where that says nothing or is not there yet, and why.
     pub(super) fn shown_to(&self, viewer: &ActiveViewer) -> (Shown, Option<&'static str>) {
         let shown = shown_of(viewer.view.show);
-        if viewer.view.codec == Codec::Clouds {
-            let waits = self.waits_for_clouds(viewer);
+        if viewer.view.picture_format() != PictureFormat::Display {
+            let waits = self.waits_for_format(viewer);
             return (Shown::Picture, waits.then_some(clouds::BEING_MADE));
         }
         if shown == Shown::Picture {
@@ -156,7 +156,7 @@ impl SkyRenderer {
             if shown != Shown::Picture {
                 wanted.extend(self.possible_keys(viewer, shown));
             }
-            wanted.extend(self.own_clouds_keys(viewer));
+            wanted.extend(self.own_format_keys(viewer));
         }
         if !wanted.is_empty() {
             self.pipelines.prepare_later(&self.gpu, wanted);
@@ -171,7 +171,8 @@ impl SkyRenderer {
         self.viewers
             .iter()
             .filter(|(_, viewer)| {
-                viewer.view.show != Show::Picture || viewer.view.codec == Codec::Clouds
+                viewer.view.show != Show::Picture
+                    || viewer.view.picture_format() != PictureFormat::Display
             })
             .map(|(id, _)| *id)
             .collect()

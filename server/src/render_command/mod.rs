@@ -9,6 +9,7 @@ mod rays;
 pub use arguments::{Approximation, Chosen, Interpolation, RenderArguments, StillKind, SunChoice};
 
 use crate::config::RenderConfig;
+use crate::encode::exr_of;
 use crate::march::EXPOSURE_AT_ZERO_EV;
 use crate::scene::{Preset, preset, presets};
 use anyhow::{Context, bail, ensure};
@@ -392,8 +393,6 @@ fn write_found(
 
 /// Writes linear values, three a pixel.
 fn write_exr(path: &Path, size: FrameSize, values: Vec<f32>) -> anyhow::Result<()> {
-    image::Rgb32FImage::from_raw(size.width(), size.height(), values)
-        .context("as many values as pixels")?
-        .save(path)
+    std::fs::write(path, exr_of(size, values)?)
         .with_context(|| format!("{} cannot be written", path.display()))
 }

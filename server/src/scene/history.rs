@@ -63,7 +63,14 @@ pub(super) fn recover(
         let cause = Cause::of_kind(kind);
         add(
             &mut revisions,
-            Revision::new(snapshot.revision, now, &cause, before, scene)?,
+            Revision::new(
+                snapshot.revision,
+                snapshot.revision,
+                now,
+                &cause,
+                before,
+                scene,
+            )?,
         );
         journal.keep(&revisions)?;
     } else if !journal.is_whole() {
@@ -87,6 +94,15 @@ pub(super) fn add(revisions: &mut Revisions, revision: Revision) {
     while revisions.len() > REVISIONS_MAX {
         revisions.pop_front();
     }
+}
+
+/// Takes the newest revision out, for one that stands for it as well. None where it is the only one: then nothing would tell
+/// what there was before.
+pub(super) fn take_newest(revisions: &mut Revisions) -> Option<Arc<Revision>> {
+    if revisions.len() < 2 {
+        return None;
+    }
+    revisions.pop_back()
 }
 
 /// All files that kept revisions name.
@@ -114,13 +130,15 @@ fn position(revisions: &Revisions) -> Option<u64> {
     Some(at.revision)
 }
 
-/// What an undo brings back: the revision before that which is shown, so that undoing again goes further back.
+/// What an undo brings back: the revision before that which is shown, so that undoing again goes further back. One that shows
+/// the same (a group of changes may end where it began) would be no undo.
 fn undone(revisions: &Revisions) -> Option<Arc<Revision>> {
     let position = position(revisions)?;
+    let shown = &revisions.back()?.scene;
     revisions
         .iter()
         .rev()
-        .find(|revision| revision.revision < position)
+        .find(|revision| revision.revision < position && revision.scene != *shown)
         .cloned()
 }
 
@@ -175,9 +193,8 @@ impl SceneStore {
             })?,
         };
         let cause = Cause {
-            kind: ChangeKind::Revert,
-            about: None,
             of: Some(target.revision),
+            ..Cause::of_kind(ChangeKind::Revert)
         };
         self.edit(&mut journal, &before, false, &cause, |before, now| {
             let document = target.scene.to_document();
@@ -214,6 +231,17 @@ mod tests {
 
     use super::*;
 
+    /// A revision with one of many scenes.
+    fn of_scene(revision: u64, cause: &Cause, shown: u64) -> Revision {
+        let document = SceneDocument {
+            exposure_ev: shown as f64 / 100.0,
+            ..SceneDocument::default()
+        };
+        let scene = Arc::new(Scene::try_from(document).expect("a scene"));
+        let epoch = Moment::UNIX_EPOCH;
+        Revision::new(revision, revision, epoch, cause, None, scene).expect("JSON")
+    }
+
     fn history(of: &[Option<u64>]) -> Revisions {
         (1..)
             .zip(of)
@@ -223,9 +251,8 @@ mod tests {
                     of: *of,
                     ..Cause::of_kind(kind)
                 };
-                let scene = Arc::new(Scene::default());
-                let revision = Revision::new(revision, Moment::UNIX_EPOCH, &cause, None, scene);
-                Arc::new(revision.expect("JSON"))
+                let shown = of.filter(|of| *of < revision).unwrap_or(revision);
+                Arc::new(of_scene(revision, &cause, shown))
             })
             .collect()
     }
@@ -247,5 +274,19 @@ mod tests {
         assert_eq!(undone_number(&undone_again), Some(1));
         // A revision that names itself or a later one leads nowhere.
         assert_eq!(undone_number(&[None, Some(2)]), Some(1));
+    }
+
+    #[test]
+    fn an_undo_brings_back_what_looks_different() {
+        let cause = Cause::of_kind(ChangeKind::Patch);
+        let shown = |numbers: &[u64]| -> Option<u64> {
+            let revisions = (1..)
+                .zip(numbers)
+                .map(|(revision, shown)| Arc::new(of_scene(revision, &cause, *shown)))
+                .collect();
+            undone(&revisions).map(|revision| revision.revision)
+        };
+        assert_eq!(shown(&[1, 2, 2]), Some(1));
+        assert_eq!(shown(&[1, 1]), None);
     }
 }

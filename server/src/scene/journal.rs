@@ -2,13 +2,15 @@
 //!
 //! A line is the hash of a record, a space, and the record as JSON. Lines are appended and synced; when many are of
 //! revisions that are not kept any more, the file is written anew under another name, synced, and takes the old one's
-//! place.
+//! place. A group of changes has a line for each of them, too: the later one says which ones before it stands for.
 //!
 //! What a stop at any instant can leave, and what is made of it:
 //!
 //! - a last line that is cut short, or (after a power cut, where the file's length may reach the disk before its content)
 //!   garbage at the end: not acknowledged, so it is cut off;
 //! - a whole line, and a `scene.json` of the revision before: it goes on as if it had been acknowledged;
+//! - of a group of changes, lines of some and not of the last: those that were acknowledged are there, and the last of them
+//!   stands for them;
 //! - a new file under its other name: unfinished or not, the old one holds all that was acknowledged.
 //!
 //! The order is what makes this so. Content is synced before a name is given to it (a rename that reaches the disk before
@@ -168,11 +170,11 @@ fn read_lines(bytes: &[u8]) -> Found {
         match read_line(line) {
             Some(revision) => {
                 found.damaged += std::mem::take(&mut bad_at_end);
-                // A number that comes again stands for a revision that was taken back.
+                // A number that comes again stands for a revision that was taken back; of a group the last one stands for all.
                 while found
                     .revisions
                     .back()
-                    .is_some_and(|last| last.revision >= revision.revision)
+                    .is_some_and(|last| last.revision >= revision.first)
                 {
                     found.revisions.pop_back();
                 }

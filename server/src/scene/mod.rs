@@ -4,6 +4,9 @@
 //! it is announced: first to the journal of revisions, then as `scene.json`.
 
 mod file;
+mod group;
+#[cfg(test)]
+mod group_tests;
 mod history;
 mod journal;
 mod json_patches;
@@ -16,6 +19,7 @@ mod tests;
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::Instant;
 
 use serde_json::Value;
 use skycell_protocol::scene::{StillSceneDocument, TimeChange, TimeDocument, TransitionDocument};
@@ -27,6 +31,8 @@ use crate::clock;
 use crate::field::{FieldStore, MapFileError, check_grids, check_maps};
 use file::SceneFile;
 pub use file::SceneFileError;
+use group::OpenGroup;
+pub use group::{ChangeGroup, GROUP_MAX_CHARS, GROUP_PATTERN, GROUP_PAUSE_MAX};
 use history::{Revisions, all_named_files};
 use journal::Journal;
 pub use json_patches::{OPERATIONS_MAX, SceneJsonPatch};
@@ -124,6 +130,8 @@ pub struct SceneStore {
     field: FieldStore,
     /// Held while a change is made, so that changes follow each other.
     change: Mutex<Journal>,
+    /// The group of changes that may go on, if the newest revision belongs to one. Not kept: after a restart it is at its end.
+    open_group: Mutex<Option<OpenGroup>>,
     /// What the journal holds. Apart from it, so that nobody who reads waits for a change.
     history: RwLock<Revisions>,
     current: watch::Sender<SceneSnapshot>,
@@ -156,6 +164,7 @@ impl SceneStore {
             maps,
             field,
             change: Mutex::new(journal),
+            open_group: Mutex::default(),
             history: RwLock::new(revisions),
             current: watch::Sender::new(snapshot),
         })
@@ -183,8 +192,25 @@ impl SceneStore {
         precondition: &Precondition,
         patch: &Value,
     ) -> Result<SceneSnapshot, ScenePatchError> {
+        self.patch_in(precondition, patch, None)
+    }
+
+    /// As [`Self::patch`], of a group of changes: one that goes on with its group takes the place of the one before it in the
+    /// history.
+    ///
+    /// # Errors
+    /// As [`Self::patch`].
+    pub fn patch_in(
+        &self,
+        precondition: &Precondition,
+        patch: &Value,
+        group: Option<ChangeGroup>,
+    ) -> Result<SceneSnapshot, ScenePatchError> {
         let says_where = patch.get("drift").is_some();
-        let cause = Cause::of_kind(ChangeKind::Patch);
+        let cause = Cause {
+            group,
+            ..Cause::of_kind(ChangeKind::Patch)
+        };
         self.change(precondition, says_where, &cause, |before, _| {
             let mut document = file::document_of(before)?;
             json_patch::merge(&mut document, patch);
@@ -192,7 +218,7 @@ impl SceneStore {
         })
     }
 
-    /// Changes the scene by a JSON patch (RFC 6902): all of its operations or none. Otherwise as [`Self::patch`].
+    /// Changes the scene by a JSON patch (RFC 6902): all of its operations or none. Otherwise as [`Self::patch_in`].
     ///
     /// # Errors
     /// As [`Self::patch`]; also if an operation finds nothing where it points to, or a test finds something else.
@@ -200,8 +226,12 @@ impl SceneStore {
         &self,
         precondition: &Precondition,
         patch: &SceneJsonPatch,
+        group: Option<ChangeGroup>,
     ) -> Result<SceneSnapshot, ScenePatchError> {
-        let cause = Cause::of_kind(ChangeKind::Patch);
+        let cause = Cause {
+            group,
+            ..Cause::of_kind(ChangeKind::Patch)
+        };
         let says_where = patch.says_where_clouds_are();
         self.change(precondition, says_where, &cause, |before, _| {
             let mut document = file::document_of(before)?;
@@ -210,7 +240,7 @@ impl SceneStore {
         })
     }
 
-    /// Stops the sky's clock, lets it go on, sets it or gives it another rate, from now on.
+    /// Stops the sky's clock, lets it go on, sets it or gives it another rate, from now on. As [`Self::patch_in`] for groups.
     ///
     /// # Errors
     /// If the precondition does not hold, a number is out of range, or the scene cannot be kept.
@@ -218,8 +248,12 @@ impl SceneStore {
         &self,
         precondition: &Precondition,
         time_change: &TimeChange,
+        group: Option<ChangeGroup>,
     ) -> Result<SceneSnapshot, ScenePatchError> {
-        let cause = Cause::of_kind(ChangeKind::Time);
+        let cause = Cause {
+            group,
+            ..Cause::of_kind(ChangeKind::Time)
+        };
         self.change(precondition, false, &cause, |before, now| {
             let mut document = before.to_document();
             document.time = document.time.changed(now, time_change);
@@ -351,8 +385,20 @@ impl SceneStore {
     ) -> Result<(), SceneFileError> {
         let kept = self.history();
         let mut revisions = kept.clone();
+        let mut open_group = self
+            .open_group
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let made = Instant::now();
+        let continued = open_group
+            .as_ref()
+            .filter(|open| open.is_continued_by(cause, before.revision, made))
+            .and_then(|_| history::take_newest(&mut revisions));
+        let first = continued.map_or(after.revision, |newest| newest.first);
+        let base = revisions.back().map(|base| Arc::clone(&base.scene));
+        let base = base.as_deref().unwrap_or(&before.scene);
         let scene = Arc::clone(&after.scene);
-        let revision = Revision::new(after.revision, now, cause, Some(&before.scene), scene)?;
+        let revision = Revision::new(after.revision, first, now, cause, Some(base), scene)?;
         history::add(&mut revisions, revision);
         journal.keep(&revisions)?;
         if let Err(error) = self.file.write(after) {
@@ -363,6 +409,7 @@ impl SceneStore {
         }
         self.maps.collect(&all_named_files(&revisions));
         self.set_history(revisions);
+        *open_group = OpenGroup::of(cause, after.revision, made);
         Ok(())
     }
 }

@@ -9,6 +9,8 @@ use skycell_protocol::read_json::{ObjectReader, ReadJson, read_name};
 use skycell_protocol::value_error::child_pointer;
 use skycell_protocol::{Moment, Scene, SceneError};
 
+use super::group::ChangeGroup;
+
 /// How many changed places of a document are named; of further ones only their number.
 const CHANGED_MAX: usize = 16;
 
@@ -56,6 +58,8 @@ pub(super) struct Cause {
     pub(super) kind: ChangeKind,
     pub(super) about: Option<String>,
     pub(super) of: Option<u64>,
+    /// The changes that it belongs to, if its writer says so.
+    pub(super) group: Option<ChangeGroup>,
 }
 
 impl Cause {
@@ -64,6 +68,7 @@ impl Cause {
             kind,
             about: None,
             of: None,
+            group: None,
         }
     }
 }
@@ -73,6 +78,9 @@ impl Cause {
 pub struct Revision {
     /// Its number, which is its ETag too.
     pub revision: u64,
+    /// The first revision that it stands for: of a group of changes, which is one revision to whoever looks back. Its own number
+    /// where it stands for itself alone.
+    pub first: u64,
     /// When it was made.
     pub time: Moment,
     /// By what kind of request.
@@ -91,9 +99,10 @@ pub struct Revision {
 }
 
 impl Revision {
-    /// A revision that follows another one, if there is one before it.
+    /// A revision that follows another one, if there is one before it; it stands for all from `first` on.
     pub(super) fn new(
         revision: u64,
+        first: u64,
         time: Moment,
         cause: &Cause,
         before: Option<&Scene>,
@@ -107,6 +116,7 @@ impl Revision {
         }
         Ok(Self {
             revision,
+            first,
             time,
             kind: cause.kind,
             about: cause.about.clone(),
@@ -129,6 +139,7 @@ impl Revision {
         let members = ObjectReader::new(value, "")?;
         members.only(&[
             "revision",
+            "first",
             "time",
             "kind",
             "about",
@@ -138,8 +149,18 @@ impl Revision {
             "scene",
         ])?;
         let document: Value = members.required("scene", "a scene")?;
+        let revision = members.required("revision", "a whole number from 1")?;
+        let first = members.member_or("first", revision)?;
+        if first > revision {
+            return Err(SceneError::new(
+                "/first",
+                &Value::from(first),
+                "the revision, or one before it",
+            ));
+        }
         Ok(Self {
-            revision: members.required("revision", "a whole number from 1")?,
+            revision,
+            first,
             time: members.required("time", "a date and time")?,
             kind: members.required("kind", "the kind of a change")?,
             about: members.member_or("about", None)?,

@@ -238,6 +238,7 @@ fn revisions_tell_when_by_what_and_what_they_changed_and_survive_a_restart() {
                 rate: Some(2.0),
                 ..TimeChange::default()
             },
+            None,
         )
         .expect("taken");
     let told = store.revisions();

@@ -1,7 +1,7 @@
 //! Connections: accepted up to a limit, set up for frames that must not wait in buffers, ended in
 //! good order.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ use tower::ServiceExt;
 
 use super::linger::{Lingerers, Lingering};
 use super::tls::Tls;
-use crate::access::{Gate, Peer, PeerPermit, Peers, Refusal};
+use crate::access::{Gate, Peer, PeerKey, PeerPermit, Peers, Refusal, TrustedProxies};
 use crate::config::Config;
 
 /// How many connections may speak HTTP at once. One that has become a WebSocket counts there.
@@ -57,16 +57,19 @@ pub struct ConnectionSettings {
     pub tls: Option<Arc<Tls>>,
     /// Connections that one peer may have. Requests on more are refused.
     pub per_peer_max: u32,
+    /// Proxies that are believed where requests come from.
+    pub proxies: Arc<TrustedProxies>,
     /// Hears of what is refused before there is a request.
     pub gate: Option<Arc<Gate>>,
 }
 
 impl ConnectionSettings {
     pub(super) fn new(config: &Config, tls: Option<Arc<Tls>>, gate: Arc<Gate>) -> Self {
-        let is_loopback = config.listen.ip().to_canonical().is_loopback();
+        let limits = config.limits.resolved(config.serves_this_machine_alone());
         Self {
             tls,
-            per_peer_max: config.limits.resolved(is_loopback).connections_per_peer_max,
+            per_peer_max: limits.connections_per_peer_max,
+            proxies: Arc::new(config.proxies()),
             gate: Some(gate),
         }
     }
@@ -103,13 +106,20 @@ pub async fn serve(
             }
         };
         set_up(&stream);
-        let mut peer = Peer::at(address);
-        let of_peer = peers.try_add(peer.key, settings.per_peer_max);
-        peer.has_too_many_connections = of_peer.is_none();
+        let mut peer = Peer::at(address.ip());
+        // A proxy's connections are those of all its clients.
+        let is_proxy = settings.proxies.trusts(address.ip());
+        let of_peer = if is_proxy {
+            None
+        } else {
+            peers.try_add(peer.key, settings.per_peer_max)
+        };
+        peer.has_too_many_connections = !is_proxy && of_peer.is_none();
         let connection = Connection {
             router: router.clone(),
             settings: settings.clone(),
             peer,
+            address: address.ip(),
             shutdown: shutdown.clone(),
             _permits: (permit, of_peer),
         };
@@ -125,6 +135,7 @@ struct Connection {
     router: Router,
     settings: ConnectionSettings,
     peer: Peer,
+    address: IpAddr,
     shutdown: CancellationToken,
     _permits: (OwnedSemaphorePermit, Option<PeerPermit>),
 }
@@ -154,10 +165,15 @@ impl Connection {
 
     /// Speaks HTTP until the connection has ended or become a WebSocket.
     async fn speak(self, stream: Either<Lingering, TlsStream<Lingering>>) {
-        let peer = self.peer;
+        let (peer, address) = (self.peer, self.address);
+        let proxies = Arc::clone(&self.settings.proxies);
         let service = self.router.map_request(move |request: Request<Incoming>| {
             let mut request = request.map(Body::new);
-            request.extensions_mut().insert(peer);
+            let client = proxies.client_of(address, request.headers());
+            request.extensions_mut().insert(Peer {
+                key: PeerKey::of(client),
+                ..peer
+            });
             request
         });
         let connection = http1::Builder::new()

@@ -97,6 +97,11 @@ impl ServiceParts {
         let tokens = Tokens::open(config.tokens_file.clone(), config.tokens.0.clone())?;
         access::check_exposure(config.listen, &tokens)?;
         let tls = config.tls.as_ref().map(Tls::open).transpose()?;
+        if tokens.is_empty() && !config.trusted_proxies.is_empty() {
+            tracing::warn!(
+                "trusted_proxies are set and no token is: whoever reaches the proxy may change the sky, unless it asks for more"
+            );
+        }
         if tls.is_none() && !config.listen.ip().to_canonical().is_loopback() {
             tracing::warn!(
                 "tokens and pictures travel in the clear: set tls.certificate and tls.key, or put a proxy with TLS in front"

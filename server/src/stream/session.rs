@@ -16,7 +16,7 @@ use tracing::Instrument;
 use super::StreamContext;
 use super::end::End;
 use super::{hello, inbound, outbound};
-use crate::access::{HelloRefusal, PeerKey, PeerPermit, Refusal};
+use crate::access::{HelloRefusal, Lease, PeerKey, PeerPermit, Refusal};
 use crate::frame_loop::interface::{FrameLoopGone, FrameLoopHandle, RenderCommand, ViewRequest};
 use crate::viewers::{JoinError, Viewer};
 
@@ -44,7 +44,7 @@ pub(super) async fn run(
     let admitted = hello.and_then(|hello| Ok((admit(&hello, peer, &context)?, hello)));
     drop(greeting);
     let end = match admitted {
-        Ok((_admitted, hello)) => {
+        Ok(((_admitted, lease), hello)) => {
             let span = tracing::trace_span!(
                 target: crate::traces::TARGET,
                 parent: None,
@@ -54,7 +54,7 @@ pub(super) async fn run(
                 skycell.height = hello.size.height(),
                 skycell.frames_sent = tracing::field::Empty,
             );
-            let end = serve(&mut sink, &mut stream, &hello, &context)
+            let end = serve(&mut sink, &mut stream, &hello, lease, &context)
                 .instrument(span)
                 .await;
             tracing::debug!(?end, "session ends");
@@ -66,20 +66,25 @@ pub(super) async fn run(
 }
 
 /// Whether who says hello may watch, and room for it among the viewers of its peer.
-fn admit(hello: &Hello, peer: PeerKey, context: &StreamContext) -> Result<PeerPermit, End> {
+fn admit(
+    hello: &Hello,
+    peer: PeerKey,
+    context: &StreamContext,
+) -> Result<(PeerPermit, Lease), End> {
     let token = hello.token.as_ref().map(AccessToken::text);
-    context
+    let lease = context
         .gate
         .check_hello(peer, token)
         .map_err(|refusal| match refusal {
             HelloRefusal::Unauthorized(why) => End::unauthorized(why),
             HelloRefusal::Blocked(seconds) => End::blocked(seconds),
         })?;
-    context.gate.admit(peer).map_err(|max| {
+    let permit = context.gate.admit(peer).map_err(|max| {
         End::too_many_viewers(format!(
             "{max} viewers of this address are connected, and no more are allowed"
         ))
-    })
+    })?;
+    Ok((permit, lease))
 }
 
 /// The session of a client that has said hello.
@@ -87,6 +92,7 @@ async fn serve(
     sink: &mut SplitSink<WebSocket, Message>,
     stream: &mut SplitStream<WebSocket>,
     hello: &Hello,
+    mut lease: Lease,
     context: &StreamContext,
 ) -> End {
     let view = ViewRequest {
@@ -101,6 +107,7 @@ async fn serve(
         show: hello.show,
         stereo: hello.stereo,
         haze: hello.haze,
+        linear: false,
     };
     let viewer = match context.viewers.join(view) {
         Ok(viewer) => viewer,
@@ -137,6 +144,10 @@ async fn serve(
         end = inbound::read(stream, answers, &viewer, context) => end,
         end = outbound::write(sink, &welcome, waiting_answers, &viewer, context) => end,
         () = context.shutdown.cancelled() => End::restart(),
+        why = lease.ended() => {
+            context.gate.count(Refusal::TokenTaken);
+            End::unauthorized(why)
+        }
     };
     span.record("skycell.frames_sent", viewer.figures().frames_sent);
     end

@@ -154,6 +154,7 @@ mod tests {
             show: skycell_protocol::Show::Picture,
             stereo: None,
             haze: true,
+            linear: false,
         }
     }
 

@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use axum::Router;
 use axum::extract::WebSocketUpgrade;
@@ -130,6 +131,7 @@ async fn the_websocket_of_the_service_passes_the_autobahn_test_suite() {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("listens");
     let address = listener.local_addr().expect("an address");
     let settings = ConnectionSettings {
+        proxies: Arc::default(),
         tls: None,
         per_peer_max: 16,
         gate: None,

@@ -95,8 +95,14 @@ fn revision_of(response: &reqwest::Response) -> u64 {
     tag.trim_matches('"').parse().expect("a number")
 }
 
-/// Patches until the server is gone. Every patch has another azimuth.
-async fn patch_on(address: SocketAddr, client: u64, counter: Arc<Mutex<u64>>, all: Acknowledged) {
+/// Patches until the server is gone. Every patch has another azimuth. `query` may name a group.
+async fn patch_on(
+    address: SocketAddr,
+    client: u64,
+    query: &str,
+    counter: Arc<Mutex<u64>>,
+    all: Acknowledged,
+) {
     let http = reqwest::Client::new();
     let mut last = 0;
     loop {
@@ -106,7 +112,7 @@ async fn patch_on(address: SocketAddr, client: u64, counter: Arc<Mutex<u64>>, al
             (*count % 35_999) as f64 * 0.01
         };
         let sent = http
-            .patch(format!("http://{address}/api/v1/scene"))
+            .patch(format!("http://{address}/api/v1/scene{query}"))
             .header("content-type", "application/merge-patch+json")
             .header("if-match", "*")
             .body(json!({"sun": {"azimuth_deg": azimuth_deg}}).to_string())
@@ -186,7 +192,7 @@ async fn kill_at_random_instants(rounds: u32) -> usize {
         let clients: Vec<_> = (0..CLIENTS)
             .map(|client| {
                 let (counter, all) = (Arc::clone(&counter), all.clone());
-                tokio::spawn(patch_on(address, client, counter, all))
+                tokio::spawn(patch_on(address, client, "", counter, all))
             })
             .collect();
         tokio::time::sleep(Duration::from_micros(fastrand::u64(0..200_000))).await;
@@ -219,4 +225,42 @@ async fn kill_at_random_instants(rounds: u32) -> usize {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_was_acknowledged_survives_a_hundred_kills_at_random_instants() {
     assert!(kill_at_random_instants(100).await > 100);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_acknowledged_change_of_a_drag_survives_a_kill_and_each_drag_is_one_revision() {
+    const ROUNDS: u64 = 12;
+    let _ = rustls::crypto::ring::default_provider().install_default();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let counter = Arc::new(Mutex::new(0));
+    let all = Acknowledged::default();
+    for _ in 0..ROUNDS {
+        let (server, address) = spawn(folder.path());
+        let waited =
+            tokio::task::spawn_blocking(move || address.recv_timeout(Duration::from_secs(30)));
+        let address = waited.await.expect("no panic").expect("an address");
+        let dragging = patch_on(address, 0, "?group=drag", Arc::clone(&counter), all.clone());
+        let dragging = tokio::spawn(dragging);
+        tokio::time::sleep(Duration::from_micros(fastrand::u64(20_000..150_000))).await;
+        drop(server);
+        dragging.await.expect("the client saw nothing wrong");
+
+        let store = SceneStore::open(folder.path().to_owned()).expect("opens");
+        let (newest, kept) = (store.snapshot(), store.revisions());
+        assert!(
+            newest.revision >= all.newest(),
+            "an acknowledged change is lost"
+        );
+        assert!(newest.revision <= all.newest().max(1) + 1);
+        if let Some((_, azimuth_deg)) = all.after(newest.revision).first() {
+            assert!((newest.scene.sun().azimuth_deg() - azimuth_deg).abs() < 1e-9);
+        }
+        for pair in kept.windows(2) {
+            assert_eq!(pair[1].first, pair[0].revision + 1, "nothing is missing");
+        }
+        assert!(kept.len() as u64 <= 1 + ROUNDS, "{} revisions", kept.len());
+    }
+    let changes = all.after(0).len();
+    println!("{changes} changes of {ROUNDS} drags acknowledged, all there");
+    assert!(changes as u64 > 2 * ROUNDS);
 }

@@ -220,7 +220,11 @@ async fn what_is_no_map_is_refused_with_a_reason_and_the_old_map_stays() {
     )
     .await;
     let unknown = world.get("/api/v1/scene/maps/type?format=tiff").await;
-    problem(unknown, 400).await;
+    let unknown = problem(unknown, 422).await;
+    assert_eq!(
+        (&unknown["pointer"], &unknown["allowed"]),
+        (&json!("/format"), &json!("png, exr"))
+    );
 
     assert_eq!(world.get_json("/api/v1/scene").await, before);
     assert_eq!(revision(&world).await, "\"2\"");

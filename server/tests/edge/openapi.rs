@@ -444,11 +444,20 @@ async fn a_snapshot_is_a_picture_by_a_viewer_who_leaves() {
             == 1
     })
     .await;
+    let response = world
+        .get("/api/v1/snapshot?width=32&height=18&format=exr")
+        .await;
+    assert_eq!(response.headers()["content-type"], "image/x-exr");
+    let exr = image::load_from_memory(&response.bytes().await.expect("a body")).expect("an EXR");
+    assert_eq!((exr.width(), exr.height()), (32, 18));
+    assert_eq!(exr.color(), image::ColorType::Rgb32F);
     let document = document(&world).await;
     for (query, status) in [
         ("?yaw_deg=east", 400),
         ("?colour=1", 400),
         ("?fov_deg=180", 422),
+        ("?format=tiff", 422),
+        ("?format=EXR", 422),
         ("?width=3840&height=2160", 422),
     ] {
         let path = format!("/api/v1/snapshot{query}");

@@ -199,7 +199,7 @@ impl State {
                 .pixels_alive_most
                 .fetch_max(alive, Ordering::SeqCst);
             let mut rgba = noise(
-                state.view.picture_size().pixels() as usize * 4,
+                state.view.picture_size().pixels() as usize * bytes_of_pixel(&state.view),
                 state.composited,
             );
             // Whose frame it is, for those who look.
@@ -223,6 +223,7 @@ impl State {
                 codec: state.view.codec,
                 jpeg_quality: state.view.jpeg_quality,
                 clouds: None,
+                linear: state.view.linear,
                 coarse: state.composited == 1,
                 exact: state.composited > 1,
                 refines: false,
@@ -270,6 +271,11 @@ impl State {
             ..RenderStats::default()
         }
     }
+}
+
+/// Bytes of a pixel; of linear radiance any bits are numbers, if odd ones.
+fn bytes_of_pixel(view: &ViewRequest) -> usize {
+    if view.linear { 16 } else { 4 }
 }
 
 /// Whose frame a picture is, by its first pixel: the lower 24 bits of the viewer's number.

@@ -18,6 +18,7 @@ use crate::api::revisions::{LIMIT, LIMIT_DEFAULT};
 use crate::api::scene::{JSON_PATCH, MERGE_PATCH};
 use crate::api::scene_events::SUBSCRIBERS_MAX;
 use crate::api::snapshot;
+use crate::scene::{GROUP_MAX_CHARS, GROUP_PATTERN};
 
 pub(super) fn tags() -> Value {
     json!([
@@ -87,6 +88,15 @@ fn scene() -> Value {
         .value()
 }
 
+/// What a group of changes is.
+const GROUP: &str = "Changes of one client under a name that it has made up, each within 10 s of the one before, with no other \
+     change between: a slider that is dragged. Each has its own `ETag` and is on disk when it is answered, but in the list of \
+     revisions, and to an undo, they are one: the last, which tells the `first`.";
+
+fn group() -> Value {
+    json!({"type": "string", "pattern": GROUP_PATTERN, "maxLength": GROUP_MAX_CHARS})
+}
+
 fn patch_scene() -> Value {
     Operation::new("patchScene", "scene", "Changes the scene.")
         .description(
@@ -95,6 +105,7 @@ fn patch_scene() -> Value {
              a scene after the change; otherwise the scene stays as it was.",
         )
         .with_precondition()
+        .query("group", GROUP, group())
         .body(json!({
             MERGE_PATCH: {
                 "schema": reference("ScenePatch"),
@@ -133,6 +144,7 @@ fn time() -> Value {
 fn change_time() -> Value {
     Operation::new("changeTime", "scene", "Stops the sky's clock, lets it go on, or sets it.")
         .with_precondition()
+        .query("group", GROUP, group())
         .body(json!({"application/json": {
             "schema": reference("TimeChange"),
             "examples": {"stop": {"value": {"paused": true}}, "day": {"value": {"rate": 24, "wind_rate": 1}}},
@@ -166,9 +178,12 @@ fn now() -> Value {
 fn events() -> Value {
     Operation::new("listenToScene", "scene", "Word of every change of the scene.")
         .description(&format!(
-            "Server-sent events `scene`: one at once and one at every change, with the revision as `id` and the clock as \
-             `data`. Who comes back with `Last-Event-ID` hears at once only if there is another revision. Comments keep the \
-             connection alive; it ends when the server does. At most {SUBSCRIBERS_MAX} may listen."
+            "Server-sent events `scene` (`SceneEvent`): one at once and one for every change, with the revision as `id`, the clock \
+             and what was changed as `data`. Who comes back with `Last-Event-ID` hears of every revision that was missed, one by \
+             one, and of nothing if there is none. Where some of those are not kept any more, an event `gap` (`GapEvent`, without \
+             `id`) comes first: the scene is to be read anew; after it comes the newest revision alone. A group of changes is told as \
+             its last one. Comments keep the connection alive; it ends when the server does, or when the token that it was opened \
+             with is taken away. At most {SUBSCRIBERS_MAX} may listen."
         ))
         .header("Last-Event-ID", "The last revision that was heard of.", json!({"type": "string"}))
         .answer(
@@ -265,7 +280,7 @@ fn with_transition(operation: Operation) -> Operation {
     )
 }
 
-fn map_files() -> Value {
+fn picture_files() -> Value {
     json!({
         "image/png": {"schema": {"type": "string", "contentMediaType": "image/png"}},
         "image/x-exr": {"schema": {"type": "string", "contentMediaType": "image/x-exr"}},
@@ -286,7 +301,7 @@ fn map() -> Value {
     .with_known()
     .answer(
         "PNG with 16 bits of grey, or EXR with 32-bit floats.",
-        map_files(),
+        picture_files(),
         true,
     )
     .problem(406, "`Accept` names neither.")
@@ -371,13 +386,19 @@ fn snapshot() -> Value {
         .query("fov_deg", "The angle between the upper and the lower edge.", number(VERTICAL_FOV_DEG, usual.vertical_fov_deg(), "deg"))
         .query("width", "Pixels in a row.", pixels(FRAME_WIDTH_MAX, width))
         .query("height", "Rows.", pixels(FRAME_HEIGHT_MAX, height))
+        .query(
+            "format",
+            "The format; by `Accept` where it is left out.",
+            json!({"type": "string", "enum": ["png", "exr"], "default": "png"}),
+        )
         .answer(
-            "The picture.",
-            json!({"image/png": {"schema": {"type": "string", "contentMediaType": "image/png"}}}),
+            "PNG as it is shown, or EXR: radiance in W/(m² nm sr) at 680, 550 and 440 nm as 32-bit floats R, G and B, before \
+             white balance, exposure and curve.",
+            picture_files(),
             false,
         )
         .problem(400, "The query cannot be read.")
-        .problem(406, "`Accept` does not name it.")
+        .problem(406, "`Accept` names neither.")
         .problem(422, "A value is not allowed.")
         .problem(429, "Too many wait already, or too many requests of this address: `Retry-After` tells when to try again.")
         .problem(503, "No frame was ready in time, too many viewers are connected, or the server is ending.")

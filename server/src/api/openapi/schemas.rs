@@ -12,6 +12,7 @@ use super::super::figures::{StatsReport, ViewerReport};
 use super::super::presets::WholePreset;
 use super::super::problem::Problem;
 use super::super::revisions::Page;
+use super::super::scene_events::{GapEvent, SceneEvent};
 use super::super::scene_time::{SceneNow, TimeReport};
 use crate::frame_loop::interface::CellStats;
 use crate::scene::{OPERATIONS_MAX, Preset, presets};
@@ -39,6 +40,8 @@ pub(super) fn all() -> Map<String, Value> {
     responses.subschema_for::<ShowReport>();
     responses.subschema_for::<Problem>();
     responses.subschema_for::<Page<'_>>();
+    responses.subschema_for::<SceneEvent<'_>>();
+    responses.subschema_for::<GapEvent>();
     for (name, schema) in definitions_of(responses) {
         // What is read is described with its defaults; it holds for what is written, too.
         schemas.entry(name).or_insert(schema);

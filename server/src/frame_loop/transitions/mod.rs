@@ -168,7 +168,8 @@ impl SkyRenderer {
                         && self.coarse_is_ready(left)
                         && self.is_reached(left, eye_m);
                     let requests = std::mem::take(&mut viewer.requests);
-                    if is_shown && in_transition < VIEWERS_MAX {
+                    // Two pictures of linear radiance are not mixed.
+                    if is_shown && in_transition < VIEWERS_MAX && !viewer.view.linear {
                         self.counters.transitions.begun += 1;
                         viewer.transition = Some(Transition {
                             from: left,
@@ -238,7 +239,8 @@ impl SkyRenderer {
         let stand_in = CellId(u32::MAX - self.counters.transitions.stand_ins);
         let mut is_kept = false;
         for viewer in self.viewers.values_mut() {
-            let is_in = viewer.cell == id && viewer.kind == RendererKind::Cached;
+            let is_in =
+                viewer.cell == id && viewer.kind == RendererKind::Cached && !viewer.view.linear;
             match &mut viewer.transition {
                 Some(transition) if transition.from == id => {
                     transition.from = stand_in;
