@@ -2,13 +2,15 @@
 
 use super::*;
 use crate::cells::CellLimit;
-use crate::config::PlacedCell;
+use crate::config::{PlacedCell, RenderConfig};
 use crate::frame_loop::driven::{
     Driven, FPS, apart, camera, mean_and_most, middle, scene_of, steps, view,
 };
+use crate::frame_loop::{StillRenderer, StillSettings};
+use crate::march::MarchSettings;
 use image::RgbImage;
 use serde_json::json;
-use skycell_protocol::InputSequence;
+use skycell_protocol::{Camera, FrameSize, InputSequence, RendererKind};
 
 const STANDING: ViewerId = ViewerId(1);
 /// As long as a way takes: tiles that wind has aged are marched meanwhile.
@@ -127,6 +129,115 @@ fn no_frame_of_a_standing_viewer_between_two_cells_differs_from_the_last_by_twic
     assert!(pop > 2.0 * wind_most, "{pop}");
     assert!(half < 2.0 * wind, "{half} of {wind}");
     assert!(most < 2.0 * wind_most, "{most} of {wind_most}");
+}
+
+/// A frame on the way from one cell to another.
+struct OnTheWay {
+    share: f64,
+    /// For how long the wind has blown, s.
+    time_s: f64,
+    frame: RgbImage,
+}
+
+/// How far pictures of the way are from what the eye sees: those of the mix, and those of rays that start somewhere between both
+/// references (2023, section 3.3.1).
+#[test]
+fn on_the_way_a_mix_is_no_farther_from_what_the_eye_sees_than_rays_that_start_between_both_references()
+ {
+    let mut driven = left_behind(1);
+    let mut turns = 0;
+    (driven.renderer.cells).set_limit(CellLimit::new(500.0, 500.0));
+    let mut way: Vec<OnTheWay> = Vec::new();
+    let mut references_m = None;
+    loop {
+        let frame = driven.frame(STANDING, 1.0 / FPS);
+        turns += 1;
+        let Some(transition) = &driven.renderer.viewers[&STANDING].transition else {
+            break;
+        };
+        let share = transition.way.share();
+        let ends = [transition.from, driven.cell_of(STANDING)];
+        references_m = Some(ends.map(|cell| driven.renderer.active_cells[&cell].reference_m));
+        // Five of them are looked at.
+        if transition.way.stage() != Stage::Waits && share >= 0.22 * way.len() as f64 {
+            let time_s = f64::from(turns) / FPS;
+            way.push(OnTheWay {
+                share,
+                time_s,
+                frame,
+            });
+        }
+    }
+    let [old_m, new_m] = references_m.expect("a way");
+    println!("references {:.0} m apart", old_m.distance(new_m));
+    let noise = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/noise-of-tests");
+    let config = RenderConfig::new(noise.into());
+    let scene = scene_of(&json!({"version": 1}));
+    let mut still = StillRenderer::new(config, scene, &[]).expect("a device");
+    let settings = StillSettings {
+        renderer: RendererKind::ScreenSpace,
+        samples: 8,
+        march: MarchSettings {
+            steps: 48,
+            ..MarchSettings::default()
+        },
+        ..StillSettings::default()
+    };
+    let looks = camera(0.0, 40.0);
+    let mut passed_s = 0.0;
+    let mut rows: [Vec<RgbImage>; 3] = Default::default();
+    for seen in &way {
+        still.advance_time(seen.time_s - passed_s);
+        passed_s = seen.time_s;
+        let mut rays_from = |place: [f64; 3]| {
+            let (yaw, pitch, fov) = (looks.yaw_deg(), looks.pitch_deg(), looks.vertical_fov_deg());
+            let camera = Camera::new(place, yaw, pitch, fov).expect("a camera");
+            let size = FrameSize::new(160, 90).expect("a size");
+            let picture = still.render_with(camera, size, &settings, |_| {});
+            let rgb = crate::measure::reference::without_alpha(&picture.expect("rays").display);
+            RgbImage::from_raw(160, 90, rgb).expect("all rows")
+        };
+        let start_m = old_m.lerp(new_m, seen.share);
+        rows[0].push(rays_from(looks.position_m()));
+        rows[1].push(seen.frame.clone());
+        rows[2].push(rays_from([start_m.x, looks.position_m()[1], start_m.z]));
+    }
+    sheet(&rows)
+        .save(target("transition.png"))
+        .expect("written");
+    let flip = |row: usize| {
+        let pairs = rows[0].iter().zip(&rows[row]);
+        pairs.map(|(a, b)| steps(&[a.clone(), b.clone()])[0])
+    };
+    let [mut mixed, mut started] = [0.0, 0.0];
+    for ((seen, mix), start) in way.iter().zip(flip(1)).zip(flip(2)) {
+        println!(
+            "share {:.2}: mix {mix:.4}, rays from between {start:.4}",
+            seen.share
+        );
+        mixed += mix / way.len() as f64;
+        started += start / way.len() as f64;
+    }
+    println!("mean: {mixed:.4}, {started:.4}");
+    assert!(way.len() == 5 && mixed <= started, "{mixed} {started}");
+}
+
+/// Rows of pictures, as one.
+fn sheet(rows: &[Vec<RgbImage>]) -> RgbImage {
+    let mut sheet = RgbImage::new(160 * rows[0].len() as u32, 90 * rows.len() as u32);
+    for (y, row) in (0..).zip(rows) {
+        for (x, picture) in (0..).zip(row) {
+            image::imageops::replace(&mut sheet, picture, x * 160, y * 90);
+        }
+    }
+    sheet
+}
+
+/// A file to be looked at.
+fn target(name: &str) -> std::path::PathBuf {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/transitions");
+    std::fs::create_dir_all(&folder).expect("a folder");
+    folder.join(name)
 }
 
 fn placed(name: &str, east_m: f64) -> PlacedCell {
