@@ -107,6 +107,7 @@ mod tests {
             stages: FrameStages::default(),
             payload_bytes: 0,
             target_kbit_per_s: 0,
+            colours: None,
         }
     }
 

@@ -196,6 +196,8 @@ pub async fn record(
         quality: options.quality.map(QualityChoice::Preset),
         stereo: options.stereo,
         haze: options.haze,
+        // A video that is kept is for players, which would show spread colours as they are.
+        scaled_colours: !options.raw,
         ..Hello::new(options.size, options.fps, first)
     };
     let mut connection = Session::open(address, hello, ConnectionLimits::default()).await?;

@@ -3,8 +3,9 @@
 use image::RgbImage;
 use openh264::decoder::Decoder;
 use openh264::formats::YUVSource;
-use skycell_protocol::FrameCodec;
+use skycell_protocol::colour_scale::{Plane, rgb_of_planes};
 use skycell_protocol::frame::FrameHeader;
+use skycell_protocol::{FrameCodec, FrameSize};
 use yuv::{YuvPlanarImage, YuvRange, YuvStandardMatrix};
 
 use crate::picture::PictureError;
@@ -55,6 +56,20 @@ impl VideoDecoder {
         }
         let (found_width, found_height) = (found_width as u32, found_height as u32);
         let (y_stride, u_stride, v_stride) = planes.strides();
+        if let Some(scale) = header.colours {
+            let plane = |bytes, stride| Plane { bytes, stride };
+            let planes = [
+                plane(planes.y(), y_stride),
+                plane(planes.u(), u_stride),
+                plane(planes.v(), v_stride),
+            ];
+            let eye_width = if header.stereo { width / 2 } else { width };
+            let wrong = || PictureError::Colours("planes of another size".into());
+            let size = FrameSize::new(width, height).map_err(|_| wrong())?;
+            return rgb_of_planes(planes, scale, size, eye_width as usize)
+                .and_then(|rgb| RgbImage::from_raw(width, height, rgb))
+                .ok_or_else(wrong);
+        }
         let image = YuvPlanarImage {
             y_plane: planes.y(),
             y_stride: y_stride as u32,

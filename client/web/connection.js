@@ -32,6 +32,7 @@ import { RecentTimes, stagesOf } from "./latency.js";
  * @property {string} [show]  name of a view, as `/api/v1/views` lists them
  * @property {Stereo | null} [stereo]  two eyes, side by side in each frame; null: one
  * @property {boolean} [haze]  colour of clouds alone includes the haze in front of them (true)
+ * @property {boolean} [scaled_colours]  a video's colours may be spread as frame headers say, which video-colours.js undoes (false)
  */
 
 /** @typedef {{ eye_distance_m: number }} Stereo  0 to 100 m */

@@ -26,6 +26,8 @@
  * @property {number} encode_to_send_us  waiting for the socket
  * @property {number} payload_bytes
  * @property {number} target_kbit_per_s  the rate that compression aims at; 0 where there is none
+ * @property {{ centre: [number, number], gain: number } | null} colours  how a video's colours are spread (video-colours.js); null
+ *   where they are as the stream says itself
  */
 
 /** Bytes before the payload. */
@@ -70,6 +72,7 @@ export function parseFrameHeader(message) {
     throw new FrameError(`codec ${view.getUint8(5)} is not known here`);
   }
   const flags = view.getUint16(6, true);
+  const gain = view.getUint8(86);
   const payload_bytes = view.getUint32(76, true);
   if (message.byteLength !== FRAME_HEADER_BYTES + payload_bytes) {
     throw new FrameError(
@@ -101,5 +104,6 @@ export function parseFrameHeader(message) {
     encode_to_send_us: view.getUint32(72, true),
     payload_bytes,
     target_kbit_per_s: view.getUint32(80, true),
+    colours: gain === 0 ? null : { centre: [view.getUint8(84), view.getUint8(85)], gain },
   };
 }

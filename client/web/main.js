@@ -22,7 +22,7 @@ import { attachSkyControls } from "./sky-controls.js";
 import { savePicture } from "./snapshot.js";
 import { attachTheme } from "./theme.js";
 import { connectionToken, sendTokens } from "./token.js";
-import { createDecoder, supportedCodecs } from "./video-decoder.js";
+import { createDecoder, supportedCodecs, takesScaledColours } from "./video-decoder.js";
 import { createView } from "./view.js";
 import { drawBar, fetchViews, tick } from "./views.js";
 import { withMargin } from "./warp.js";
@@ -156,6 +156,7 @@ const connection = connect(socket_url, {
     ...first_size,
     fps: parameter("fps", DEFAULT_FPS, 1, 120),
     codecs,
+    scaled_colours: await takesScaledColours(),
     quality: wantedQuality(),
     stereo: wantedEyes(),
   },

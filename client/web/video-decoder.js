@@ -7,6 +7,8 @@
  * frame, once a second at most; when that fails again and again, the decoder gives up and says why.
  */
 
+import { canSpreadColours, createColourReader } from "./video-colours.js";
+
 /** @typedef {import("./connection.js").Frame} Frame */
 /** @typedef {{ picture: ImageBitmap | VideoFrame, width: number, height: number }} Decoded  to be closed by who gets it */
 
@@ -30,6 +32,23 @@ export async function supportedCodecs() {
     return supported ? ["h264", "jpeg"] : ["jpeg"];
   } catch {
     return ["jpeg"];
+  }
+}
+
+/** Planes of a picture in a graphics card's own memory could not be read. */
+const READABLE = /** @type {const} */ ({ hardwareAcceleration: "prefer-software" });
+
+/**
+ * Whether it can put a video's colours back that the server has spread; for the hello of a connection.
+ * @returns {Promise<boolean>}
+ */
+export async function takesScaledColours() {
+  if (typeof VideoDecoder !== "function" || !canSpreadColours()) return false;
+  try {
+    const { supported } = await VideoDecoder.isConfigSupported({ codec: PROBED_CODEC, optimizeForLatency: true, ...READABLE });
+    return supported === true;
+  } catch {
+    return false;
   }
 }
 
@@ -77,6 +96,8 @@ export function createDecoder({ askForKeyFrame, onGivenUp }) {
   let asked_ms = Number.NEGATIVE_INFINITY;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   let ask_timer;
+  /** @type {ReturnType<typeof createColourReader> | null} */
+  let readColours = null;
   /** When it failed, ms. @type {number[]} */
   let failures = [];
 
@@ -111,7 +132,7 @@ export function createDecoder({ askForKeyFrame, onGivenUp }) {
     }
   };
 
-  const open = (/** @type {string} */ wanted) => {
+  const open = (/** @type {string} */ wanted, /** @type {boolean} */ are_planes_read) => {
     if (decoder && codec === wanted) return decoder;
     close();
     const opened = new VideoDecoder({
@@ -125,7 +146,7 @@ export function createDecoder({ askForKeyFrame, onGivenUp }) {
         else fail(error.message);
       },
     });
-    opened.configure({ codec: wanted, optimizeForLatency: true });
+    opened.configure({ codec: wanted, optimizeForLatency: true, ...(are_planes_read ? READABLE : {}) });
     decoder = opened;
     codec = wanted;
     clearTimeout(ask_timer);
@@ -143,7 +164,7 @@ export function createDecoder({ askForKeyFrame, onGivenUp }) {
     try {
       const wanted = header.key ? codecOf(payload) : codec;
       if (!wanted) throw new Error("a key frame without a sequence parameter set");
-      const into = open(wanted);
+      const into = open(wanted, Boolean(header.colours));
       timestamp += 1;
       const picture = await new Promise((/** @type {(picture: VideoFrame) => void} */ resolve, reject) => {
         waiting = { resolve, reject };
@@ -151,6 +172,14 @@ export function createDecoder({ askForKeyFrame, onGivenUp }) {
         into.decode(new EncodedVideoChunk({ type: header.key ? "key" : "delta", timestamp, data: payload }));
       });
       const { width, height } = header;
+      if (header.colours) {
+        try {
+          readColours ??= createColourReader();
+          return { picture: await readColours(picture, header, header.colours), width, height };
+        } finally {
+          picture.close();
+        }
+      }
       if (picture.displayWidth === width && picture.displayHeight === height) return { picture, width, height };
       // The encoder's sides are even; what is beyond the frame repeats its edge.
       const cut = await createImageBitmap(picture, 0, 0, width, height);

@@ -26,7 +26,9 @@
 //! | 72..76 | encode_to_send_us | u32 | from the end of encoding until the frame was handed to the socket: waiting in the latest-wins slot |
 //! | 76..80 | payload_bytes | u32 | length of what follows the header |
 //! | 80..84 | target_kbit_per_s | u32 | the rate that the frame's compression aims at; 0 where there is none |
-//! | 84..96 | | | 0, and not looked at |
+//! | 84..86 | colour_centre | 2 × u8 | of a video whose colours are spread (`scaled_colours` of the hello): the blue and the red difference that became 128 |
+//! | 86 | colour_gain | u8 | how many times finer its colour differences are; 0 where they are as the stream says itself |
+//! | 87..96 | | | 0, and not looked at |
 //!
 //! So `render_unix_us + composite_us + readback_us + encode_wait_us + encode_us + encode_to_send_us`
 //! is the server's clock when the frame was sent. Durations too long for their field are stored as
@@ -35,7 +37,7 @@
 use serde::Serialize;
 use thiserror::Error;
 
-use crate::{CellId, Codec, FrameSequence, InputSequence, ViewerId};
+use crate::{CellId, Codec, ColourScale, FrameSequence, InputSequence, ViewerId};
 
 /// Length of an encoded header.
 pub const FRAME_HEADER_BYTES: usize = 96;
@@ -176,6 +178,8 @@ pub struct FrameHeader {
     pub payload_bytes: u32,
     /// The rate that compression aims at, kbit/s; 0 where there is none.
     pub target_kbit_per_s: u32,
+    /// How the colours of a video are spread; none where they are as the stream says itself.
+    pub colours: Option<ColourScale>,
 }
 
 /// Why bytes are no frame.
@@ -240,6 +244,7 @@ impl FrameHeader {
         }
         bytes[76..80].copy_from_slice(&self.payload_bytes.to_le_bytes());
         bytes[80..84].copy_from_slice(&self.target_kbit_per_s.to_le_bytes());
+        bytes[84..88].copy_from_slice(&ColourScale::to_wire(self.colours));
         bytes
     }
 
@@ -288,6 +293,7 @@ impl FrameHeader {
             },
             payload_bytes: u32_at(header, 76),
             target_kbit_per_s: u32_at(header, 80),
+            colours: ColourScale::of_wire(array_at(header, 84)),
         })
     }
 
@@ -359,6 +365,7 @@ mod tests {
             },
             payload_bytes: 2,
             target_kbit_per_s: 0x9596_9798,
+            colours: ColourScale::new([0xa1, 0xa2], 5),
         }
     }
 
@@ -376,7 +383,7 @@ mod tests {
             0x74, 0x73, 0x72, 0x71, 0x78, 0x77, 0x76, 0x75, // composite_us, readback_us
             0x84, 0x83, 0x82, 0x81, 0x88, 0x87, 0x86, 0x85, // encode_wait_us, encode_us
             0x94, 0x93, 0x92, 0x91, 2, 0, 0, 0, // encode_to_send_us, payload_bytes
-            0x98, 0x97, 0x96, 0x95, 0, 0, 0, 0, // target_kbit_per_s, nothing
+            0x98, 0x97, 0x96, 0x95, 0xa1, 0xa2, 5, 0, // target_kbit_per_s, colours, nothing
             0, 0, 0, 0, 0, 0, 0, 0, // nothing
         ];
         assert_eq!(header().encode(), expected);
@@ -437,6 +444,7 @@ mod tests {
             (sequence, width, height) in any::<(u32, u16, u16)>(),
             (scene_revision, input, cell, viewer) in any::<(u64, u64, u32, u32)>(),
             (render_unix_us, us, payload_bytes, target_kbit_per_s) in any::<(u64, [u32; 7], u32, u32)>(),
+            (centre, gain) in (any::<[u8; 2]>(), 0..10u8),
         ) {
             let header = FrameHeader {
                 codec: FrameCodec::ALL[codec],
@@ -464,6 +472,7 @@ mod tests {
                 },
                 payload_bytes,
                 target_kbit_per_s,
+                colours: ColourScale::new(centre, gain),
             };
             prop_assert_eq!(FrameHeader::decode(&header.encode()), Ok(header));
         }

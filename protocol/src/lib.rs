@@ -10,6 +10,7 @@
 
 pub mod camera;
 pub mod clouds;
+pub mod colour_scale;
 pub mod frame;
 pub mod id;
 pub mod message;
@@ -25,6 +26,7 @@ pub mod value_error;
 pub mod view;
 
 pub use camera::{Camera, CameraDocument};
+pub use colour_scale::ColourScale;
 pub use frame::{FrameCodec, FrameHeader, FrameStages};
 pub use id::{CellId, FrameSequence, InputSequence, ViewerId};
 pub use moment::Moment;

@@ -192,9 +192,9 @@ fn the_codec_study_tells_that_more_bits_are_closer_to_the_picture() -> anyhow::R
     let file: Value = serde_json::from_slice(&std::fs::read(out.join("codec.json"))?)?;
     assert_eq!(file, report);
     let points = report["points"].as_array().expect("points");
-    assert_eq!(points.len(), 5, "{report:#}");
+    assert_eq!(points.len(), 8, "{report:#}");
     let number = |point: usize, key: &str| points[point][key].as_f64().expect("a number");
-    for (coarse, fine) in [(0, 1), (2, 3)] {
+    for (coarse, fine) in [(0, 1), (2, 3), (4, 5)] {
         assert!(
             number(fine, "flip") < 0.95 * number(coarse, "flip"),
             "{report:#}"
@@ -204,6 +204,13 @@ fn the_codec_study_tells_that_more_bits_are_closer_to_the_picture() -> anyhow::R
             "{report:#}"
         );
         assert_eq!(number(coarse, "compared"), 3.0, "{report:#}");
+    }
+    // Colours that are spread are closer than plain ones, compressed and not.
+    for (spread, plain) in [(1, 3), (6, 7)] {
+        assert!(
+            number(spread, "flip") < 0.9 * number(plain, "flip"),
+            "{report:#}"
+        );
     }
     assert!(report["bar_is_met"].is_null(), "the bar is another size's");
     let page = std::fs::read_to_string(out.join("codec.html"))?;

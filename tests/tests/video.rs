@@ -10,8 +10,9 @@ use skycell_client::camera_path::CameraPath;
 use skycell_client::record::{RecordOptions, record};
 use skycell_client::video::VideoDecoder;
 use skycell_client::{Connection, ConnectionLimits, Event, Frame};
+use skycell_protocol::colour_scale::{Plane, rgb_of_planes};
 use skycell_protocol::message::{Acknowledgement, Hello};
-use skycell_protocol::{Camera, Codec, FrameCodec, FrameSize};
+use skycell_protocol::{Camera, Codec, ColourScale, FrameCodec, FrameSize};
 use skycell_tests::server::target_dir;
 use skycell_tests::viewer::camera;
 use skycell_tests::{Browser, PATIENCE, Server};
@@ -49,6 +50,7 @@ impl Watcher {
     async fn join(server: &Server, size: FrameSize) -> anyhow::Result<Self> {
         let hello = Hello {
             codecs: vec![Codec::H264, Codec::Jpeg],
+            scaled_colours: true,
             ..Hello::new(size, 30.0, camera([0.0, 2.0, 0.0], 0.0, 20.0)?)
         };
         let address = server.client_address()?;
@@ -117,6 +119,8 @@ async fn a_video_that_rests_comes_to_its_exact_picture_and_then_costs_nothing() 
     assert!(exact.frame.header.key);
     let before = before.context("a video before it")?;
     assert_eq!(before.frame.header.codec, FrameCodec::H264);
+    let scale = before.frame.header.colours.context("spread colours")?;
+    assert!(scale.gain() > 1, "{scale:?}");
     let difference = mean_difference(&before.picture, &exact.picture)?;
     println!("the video is {difference:.3} of 255 from the exact picture");
     assert!(difference < DIFFERENCE_MAX, "{difference}");
@@ -216,14 +220,14 @@ async fn a_recorded_video_shows_what_exact_pictures_show_and_is_kept_as_it_came(
     Ok(())
 }
 
-/// In the page: watches a video of its own until the exact picture comes, and compares the two.
-const COMPARE: &str = "(async () => {
+/// In the page: watches a video of its own, its colours spread or not, until the exact picture comes, and compares the two.
+const COMPARE: &str = "(async (scaled_colours) => {
     const { connect } = await import('/connection.js');
     const { createDecoder, supportedCodecs } = await import('/video-decoder.js');
     const codecs = await supportedCodecs();
     const decode = createDecoder({ askForKeyFrame() {}, onGivenUp() {} });
     const camera = { position_m: [0, 2, 0], yaw_deg: 40, pitch_deg: 20, vertical_fov_deg: 60 };
-    const view = { width: 321, height: 181, fps: 30, codecs };
+    const view = { width: 321, height: 181, fps: 30, codecs, scaled_colours };
     const connection = connect(location.origin.replace('http', 'ws') + '/ws', { view, camera });
     const pixelsOf = async (frame) => {
         const { picture, width, height } = await decode(frame);
@@ -232,7 +236,7 @@ const COMPARE: &str = "(async () => {
         picture.close();
         return context.getImageData(0, 0, width, height).data;
     };
-    const seen = { codecs, h264: 0, keys: 0, difference: null, broken: '' };
+    const seen = { codecs, h264: 0, keys: 0, gain: 0, difference: null, broken: '' };
     let last = null;
     let queue = Promise.resolve();
     await new Promise((resolve) => connection.onFrame((frame) => {
@@ -242,6 +246,7 @@ const COMPARE: &str = "(async () => {
             if (frame.header.codec === 'h264') {
                 seen.h264 += 1;
                 seen.keys += frame.header.key ? 1 : 0;
+                seen.gain = frame.header.colours?.gain ?? 0;
                 last = pixels;
             } else if (frame.header.exact && last) {
                 let sum = 0;
@@ -253,6 +258,26 @@ const COMPARE: &str = "(async () => {
     }));
     connection.close();
     return seen;
+})";
+
+/// In the page: planes of a pattern through the reader of spread colours.
+const READ_PLANES: &str = "(async () => {
+    const { createColourReader } = await import('/video-colours.js');
+    const [codedWidth, codedHeight, width, height] = [34, 20, 33, 19];
+    const bytes = new Uint8Array(codedWidth * codedHeight * 1.5);
+    const colours = codedWidth * codedHeight;
+    for (let at = 0; at < colours; at += 1) bytes[at] = (at * 7) % 256;
+    for (let at = 0; at < colours / 4; at += 1) {
+        bytes[colours + at] = 60 + ((at * 11) % 140);
+        bytes[colours + colours / 4 + at] = 90 + ((at * 5) % 80);
+    }
+    const read = createColourReader();
+    const picture = new VideoFrame(bytes, { format: 'I420', codedWidth, codedHeight, timestamp: 0 });
+    const bitmap = await read(picture, { width, height, stereo: false }, { centre: [140, 117], gain: 5 });
+    picture.close();
+    const context = new OffscreenCanvas(width, height).getContext('2d');
+    context.drawImage(bitmap, 0, 0);
+    return [...context.getImageData(0, 0, width, height).data];
 })()";
 
 const SHOWS_FRAMES: &str = "window.skycell?.status.state === 'open' && window.skycell.counts.drawn > 0 \
@@ -298,18 +323,60 @@ async fn a_browser_plays_the_video_and_shows_the_colours_of_the_exact_picture() 
     let file = target_dir()?.join("page-screenshots").join("video.png");
     tab.screenshot(&file).await?;
 
-    let seen = tab.evaluate(COMPARE).await?;
-    println!("{seen}");
-    assert_eq!(seen["codecs"], json!(["h264", "jpeg"]), "{seen}");
-    assert_eq!(seen["broken"], "", "{seen}");
-    assert_eq!(seen["keys"], 1, "{seen}");
-    let difference = seen["difference"].as_f64().context("a difference")?;
-    assert!(difference < DIFFERENCE_MAX, "{seen}");
+    let mut differences = Vec::new();
+    for scaled_colours in [true, false] {
+        let seen = tab
+            .evaluate(&format!("{COMPARE}({scaled_colours})"))
+            .await?;
+        println!("{seen}");
+        assert_eq!(seen["codecs"], json!(["h264", "jpeg"]), "{seen}");
+        assert_eq!(seen["broken"], "", "{seen}");
+        assert_eq!(seen["keys"], 1, "{seen}");
+        let gain = seen["gain"].as_u64().context("a gain")?;
+        assert!(if scaled_colours { gain > 1 } else { gain == 0 }, "{seen}");
+        let difference = seen["difference"].as_f64().context("a difference")?;
+        assert!(difference < DIFFERENCE_MAX, "{seen}");
+        differences.push(difference);
+    }
+    assert!(differences[0] < 0.8 * differences[1], "{differences:?}");
     assert!(
         browser.console_errors().is_empty(),
         "{:?}",
         browser.console_errors()
     );
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_browser_puts_spread_colours_back_as_the_command_line_client_does() -> anyhow::Result<()>
+{
+    let Some(browser) = browser().await? else {
+        return Ok(());
+    };
+    let server = Server::start_calm().await?;
+    let tab = browser
+        .open(&server.url("?width=320&height=180&fps=1"))
+        .await?;
+    let read = tab.evaluate(READ_PLANES).await?;
+    let read = read.as_array().context("pixels")?;
+
+    let bytes = |count: u32, value: fn(u32) -> u32| -> Vec<u8> {
+        (0..count).map(|at| value(at) as u8).collect()
+    };
+    let luma = bytes(34 * 20, |at| at * 7 % 256);
+    let blue = bytes(17 * 10, |at| 60 + at * 11 % 140);
+    let red = bytes(17 * 10, |at| 90 + at * 5 % 80);
+    let planes =
+        [(&luma, 34), (&blue, 17), (&red, 17)].map(|(bytes, stride)| Plane { bytes, stride });
+    let scale = ColourScale::new([140, 117], 5).context("a scale")?;
+    let rgb = rgb_of_planes(planes, scale, FrameSize::new(33, 19)?, 33).context("whole planes")?;
+    ensure!(read.len() == rgb.len() / 3 * 4);
+    for (at, (read, pixel)) in read.chunks_exact(4).zip(rgb.chunks_exact(3)).enumerate() {
+        for (read, value) in read.iter().zip(pixel) {
+            let off = read.as_u64().context("a byte")?.abs_diff(u64::from(*value));
+            ensure!(off <= 1, "pixel {at}: {read} instead of {value}");
+        }
+    }
     Ok(())
 }
 

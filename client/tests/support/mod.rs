@@ -317,6 +317,7 @@ impl Frames {
             stages: FrameStages::default(),
             payload_bytes: payload.len() as u32,
             target_kbit_per_s: 0,
+            colours: None,
         };
         let mut message = header.encode().to_vec();
         message.extend_from_slice(&payload);

@@ -28,7 +28,14 @@ test("every field is read from its own place", () => {
     encode_to_send_us: 777,
     payload_bytes: 3,
     target_kbit_per_s: 888,
+    colours: null,
   });
+});
+
+test("how colours are spread is told where they are", () => {
+  const bytes = frameBytes();
+  new Uint8Array(bytes).set([140, 117, 5], 84);
+  assert.deepEqual(parseFrameHeader(bytes).colours, { centre: [140, 117], gain: 5 });
 });
 
 test("flags are told apart", () => {

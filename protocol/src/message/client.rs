@@ -64,6 +64,8 @@ pub struct Hello {
     pub stereo: Option<Stereo>,
     /// Colour of clouds alone includes the haze in front of them.
     pub haze: bool,
+    /// The client puts a video's colours back as frame headers say ([`crate::colour_scale`]).
+    pub scaled_colours: bool,
     /// Lets the client in, where the server demands it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub token: Option<AccessToken>,
@@ -85,6 +87,7 @@ impl Hello {
             show: Show::default(),
             stereo: None,
             haze: true,
+            scaled_colours: false,
             token: None,
         }
     }
@@ -312,6 +315,7 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         "show",
         "stereo",
         "haze",
+        "scaled_colours",
         "token",
     ])?;
     let stereo = members.member_or("stereo", None)?;
@@ -348,6 +352,7 @@ fn read_hello(members: &ObjectReader<'_>) -> Result<Hello, MessageError> {
         show,
         stereo,
         haze: members.member_or("haze", true)?,
+        scaled_colours: members.member_or("scaled_colours", false)?,
         token: members.optional("token")?,
     })
 }
@@ -586,6 +591,7 @@ mod tests {
             ("heigth", json!(360), "/heigth"),
             ("stereo", json!(0.064), "/stereo"),
             ("haze", json!("no"), "/haze"),
+            ("scaled_colours", json!(1), "/scaled_colours"),
             (
                 "stereo",
                 json!({"eye_distance_m": 101}),
@@ -646,7 +652,7 @@ mod tests {
             prop_assume!(width <= 1920 || eyes.is_none());
             let messages = [
                 ClientMessage::Hello(Hello {
-                    codec, codecs: codecs.clone(), jpeg_quality, renderer, quality: quality.flatten(), show, stereo: stereo.flatten(), haze: some[2], ..Hello::new(size, fps, camera)
+                    codec, codecs: codecs.clone(), jpeg_quality, renderer, quality: quality.flatten(), show, stereo: stereo.flatten(), haze: some[2], scaled_colours: some[3], ..Hello::new(size, fps, camera)
                 }),
                 ClientMessage::Camera(CameraInput { input: InputSequence(input), camera }),
                 ClientMessage::View(ViewChange {

@@ -136,12 +136,13 @@ pub fn view_frustum(camera: &Camera, size: FrameSize, frame: &CellFrame) -> View
 }
 
 /// Binary logarithm of the side of the squares that are dithered as one, pixels. A JPEG keeps of 8 × 8 pixels little but the
-/// mean where the sky is smooth: noise from pixel to pixel would be quantised away, and the bands would be back.
+/// mean where the sky is smooth: noise from pixel to pixel would be quantised away, and the bands would be back. A video's
+/// encoder takes the noise of pixels out, and who decodes puts it in again.
 #[must_use]
 pub fn dither_shift(codec: Codec) -> u32 {
     match codec {
-        Codec::Png | Codec::Clouds => 0,
-        Codec::Jpeg | Codec::H264 => 3,
+        Codec::Png | Codec::H264 | Codec::Clouds => 0,
+        Codec::Jpeg => 3,
     }
 }
 

@@ -9,9 +9,10 @@ use openh264_sys2::{
     ENCODER_OPTION, ENCODER_OPTION_BITRATE, ENCODER_OPTION_FRAME_RATE, ENCODER_OPTION_MAX_BITRATE,
     ENCODER_OPTION_TRACE_LEVEL, SBitrateInfo, SPATIAL_LAYER_0, WELS_LOG_QUIET,
 };
-use skycell_protocol::FrameSize;
+use skycell_protocol::{ColourScale, FrameSize};
 
 use super::EncodeError;
+use super::colours::Spread;
 use super::i420::I420;
 use super::video::{AccessUnit, KBIT_PER_S_MAX, KBIT_PER_S_MIN, VideoEncoder, VideoWish};
 
@@ -26,6 +27,7 @@ const FPS_SLACK: f32 = 0.2;
 pub struct H264Encoder {
     encoder: Encoder,
     picture: I420,
+    spread: Spread,
     kbit_per_s: u32,
     fps: f32,
     is_begun: bool,
@@ -69,6 +71,7 @@ impl H264Encoder {
         Ok(Self {
             encoder,
             picture: I420::new(size),
+            spread: Spread::default(),
             kbit_per_s,
             fps,
             is_begun: false,
@@ -134,10 +137,19 @@ impl VideoEncoder for H264Encoder {
         wish: &VideoWish,
         out: &mut Vec<u8>,
     ) -> Result<AccessUnit, EncodeError> {
-        self.picture.fill(rgba)?;
+        let begins = wish.key || !self.is_begun;
+        let (colours, is_other): (Option<ColourScale>, bool) = if wish.scales_colours {
+            let (scale, is_other) =
+                self.spread
+                    .fill(&mut self.picture, rgba, begins, wish.is_pair)?;
+            (Some(scale), is_other)
+        } else {
+            self.picture.fill(rgba)?;
+            (None, false)
+        };
         if self.is_begun {
             self.follow(wish)?;
-            if wish.key {
+            if wish.key || is_other {
                 self.encoder.force_intra_frame();
             }
         }
@@ -147,6 +159,7 @@ impl VideoEncoder for H264Encoder {
         stream.write_vec(out);
         Ok(AccessUnit {
             is_key: matches!(stream.frame_type(), FrameType::IDR),
+            colours,
         })
     }
 }

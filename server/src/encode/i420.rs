@@ -4,7 +4,8 @@
 //! 220 and a smooth sky shows it.
 
 use openh264::formats::YUVSource;
-use skycell_protocol::FrameSize;
+use skycell_protocol::colour_scale::{Plane, rgb_of_planes};
+use skycell_protocol::{ColourScale, FrameSize};
 use yuv::{
     BufferStoreMut, YuvConversionMode, YuvPlanarImage, YuvPlanarImageMut, YuvRange,
     YuvStandardMatrix,
@@ -50,11 +51,19 @@ impl I420 {
         self.planes.iter().map(Vec::len).sum()
     }
 
-    /// Takes the pixels of a frame: red, green, blue, alpha, rows from top to bottom.
+    /// Values in a row of brightness.
+    pub(super) fn coded_width(&self) -> usize {
+        self.coded[0] as usize
+    }
+
+    /// The pixels of a frame as wide and as high as the planes, its edge repeated; and the planes.
     ///
     /// # Errors
     /// If they are not as many as the size tells.
-    pub fn fill(&mut self, rgba: &[u8]) -> Result<(), EncodeError> {
+    pub(super) fn pixels_and_planes<'a>(
+        &'a mut self,
+        rgba: &'a [u8],
+    ) -> Result<(&'a [u8], [&'a mut [u8]; 3]), EncodeError> {
         let (width, height) = (self.size.width(), self.size.height());
         let expected = self.size.pixels() as usize * 4;
         if rgba.len() != expected {
@@ -65,7 +74,7 @@ impl I420 {
                 height,
             });
         }
-        let [coded_width, coded_height] = self.coded;
+        let coded_width = self.coded[0];
         let rgba = if self.padded.is_empty() {
             rgba
         } else {
@@ -77,7 +86,16 @@ impl I420 {
             );
             self.padded.as_slice()
         };
-        let [luma, blue, red] = &mut self.planes;
+        Ok((rgba, self.planes.each_mut().map(Vec::as_mut_slice)))
+    }
+
+    /// Takes the pixels of a frame: red, green, blue, alpha, rows from top to bottom.
+    ///
+    /// # Errors
+    /// If they are not as many as the size tells.
+    pub fn fill(&mut self, rgba: &[u8]) -> Result<(), EncodeError> {
+        let [coded_width, coded_height] = self.coded;
+        let (rgba, [luma, blue, red]) = self.pixels_and_planes(rgba)?;
         let mut image = YuvPlanarImageMut {
             y_plane: BufferStoreMut::Borrowed(luma),
             y_stride: coded_width,
@@ -181,4 +199,29 @@ pub fn rgb_of(planes: &impl YUVSource, size: FrameSize) -> Result<Vec<u8>, Encod
         .flat_map(|row| &row[..size.width() as usize * 3])
         .copied()
         .collect())
+}
+
+/// The pixels of planes whose colours are spread, as [`rgb_of`].
+///
+/// # Errors
+/// If they hold less.
+pub fn rgb_of_spread(
+    planes: &impl YUVSource,
+    scale: ColourScale,
+    size: FrameSize,
+) -> Result<Vec<u8>, EncodeError> {
+    let (y_stride, u_stride, v_stride) = planes.strides();
+    let plane = |bytes, stride| Plane { bytes, stride };
+    let planes = [
+        plane(planes.y(), y_stride),
+        plane(planes.u(), u_stride),
+        plane(planes.v(), v_stride),
+    ];
+    rgb_of_planes(planes, scale, size, size.width() as usize).ok_or_else(|| {
+        EncodeError::Colours(format!(
+            "too few values for a frame of {}x{}",
+            size.width(),
+            size.height()
+        ))
+    })
 }

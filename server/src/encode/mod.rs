@@ -5,6 +5,7 @@
 //! newer one replaces it.
 
 mod codec;
+pub mod colours;
 pub mod h264;
 pub mod i420;
 mod stream;
@@ -20,7 +21,7 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use skycell_protocol::{Codec, FrameHeader, FrameStages};
+use skycell_protocol::{Codec, ColourScale, FrameHeader, FrameStages};
 
 pub use codec::{EncodeError, encode_after, encode_clouds_after, encode_exr_after, exr_of};
 pub use stream::{StreamPicture, ViewerStream};
@@ -161,6 +162,7 @@ struct Made {
     is_key: bool,
     is_exact: bool,
     target_kbit_per_s: u32,
+    colours: Option<ColourScale>,
 }
 
 fn encode(
@@ -193,6 +195,7 @@ fn encode(
             is_key: true,
             is_exact: frame.exact && !is_reduced,
             target_kbit_per_s: rate.target_kbit_per_s().unwrap_or(0),
+            colours: None,
         }
     };
     let encoded = Instant::now();
@@ -230,6 +233,7 @@ fn encode(
         payload_bytes: u32::try_from(message.len() - FRAME_HEADER_BYTES)
             .map_err(|_| EncodeError::TooLong(message.len()))?,
         target_kbit_per_s: made.target_kbit_per_s,
+        colours: made.colours,
     };
     Ok(EncodedFrame::new(header, message, encoded, is_reduced))
 }
@@ -266,6 +270,7 @@ fn encode_stream(
                 is_key: true,
                 is_exact: true,
                 target_kbit_per_s,
+                colours: None,
             });
         }
         message.truncate(FRAME_HEADER_BYTES);
@@ -276,6 +281,8 @@ fn encode_stream(
         codec: frame.codec,
         target_kbit_per_s,
         fps_max: viewer.view().fps as f32,
+        scales_colours: viewer.scales_colours(),
+        is_pair: frame.stereo,
     };
     let mut wants_key = viewer.takes_key_wish();
     let unit = viewer
@@ -293,6 +300,7 @@ fn encode_stream(
                 is_key: true,
                 is_exact: is_last,
                 target_kbit_per_s,
+                colours: None,
             });
         }
     };
@@ -305,5 +313,6 @@ fn encode_stream(
         // Nothing finer comes, though it is not the very picture.
         is_exact: is_last,
         target_kbit_per_s,
+        colours: unit.colours,
     })
 }

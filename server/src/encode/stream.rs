@@ -27,6 +27,10 @@ pub struct StreamPicture<'a> {
     pub target_kbit_per_s: u32,
     /// The most pictures a second that the viewer wants.
     pub fps_max: f32,
+    /// The viewer puts colours back that were spread.
+    pub scales_colours: bool,
+    /// It is that of two eyes, side by side.
+    pub is_pair: bool,
 }
 
 /// A viewer's stream. It holds at most one encoder, for the codec and size of the last picture.
@@ -89,6 +93,8 @@ impl OpenStream {
             target_kbit_per_s: picture.target_kbit_per_s,
             fps: picture.fps_max,
             time: Duration::ZERO,
+            scales_colours: picture.scales_colours,
+            is_pair: picture.is_pair,
         };
         Ok(Self {
             encoder: video::open(picture.codec, picture.size, &wish)?,
@@ -119,6 +125,8 @@ impl OpenStream {
             target_kbit_per_s: picture.target_kbit_per_s,
             fps: (1.0 / self.interval_s).clamp(1.0, picture.fps_max.max(1.0)),
             time: now.saturating_duration_since(self.begun),
+            scales_colours: picture.scales_colours,
+            is_pair: picture.is_pair,
         };
         let unit = self.encoder.encode(picture.rgba, &wish, out)?;
         if unit.is_key {

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use skycell_protocol::{Codec, FrameSize};
+use skycell_protocol::{Codec, ColourScale, FrameSize};
 
 use super::EncodeError;
 use super::h264::H264Encoder;
@@ -36,6 +36,10 @@ pub struct VideoWish {
     pub fps: f32,
     /// When the picture was made, from the beginning of the stream on.
     pub time: Duration,
+    /// Who decodes puts colours back that were spread ([`skycell_protocol::colour_scale`]).
+    pub scales_colours: bool,
+    /// The picture is that of two eyes, side by side.
+    pub is_pair: bool,
 }
 
 /// What became of a picture.
@@ -43,6 +47,8 @@ pub struct VideoWish {
 pub struct AccessUnit {
     /// It needs no earlier one.
     pub is_key: bool,
+    /// How its colours are spread; none where they are as the stream says itself.
+    pub colours: Option<ColourScale>,
 }
 
 /// Makes one viewer's stream, of pictures of one size. Dropping it frees all that it holds.

@@ -166,6 +166,7 @@ impl Outbound<'_> {
             stages: FrameStages::default(),
             payload_bytes: 0,
             target_kbit_per_s: self.last.map_or(0, |last| last.target_kbit_per_s),
+            colours: None,
         };
         let message = Bytes::copy_from_slice(&header.encode());
         self.send(Message::Binary(message)).await?;

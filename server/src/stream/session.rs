@@ -121,6 +121,7 @@ async fn serve(
         }
     };
     viewer.set_target_kbit_per_s(context.video_rate_kbit_per_s(view.picture_size()));
+    viewer.set_scales_colours(hello.scaled_colours);
     tracing::info!(
         viewer = %viewer.id(),
         width = view.size.width(),

@@ -86,6 +86,7 @@ pub struct Viewer {
     stream: Mutex<ViewerStream>,
     wants_key: AtomicBool,
     target_kbit_per_s: AtomicU32,
+    scales_colours: AtomicBool,
 }
 
 impl Viewer {
@@ -103,6 +104,7 @@ impl Viewer {
             stream: Mutex::default(),
             wants_key: AtomicBool::new(false),
             target_kbit_per_s: AtomicU32::new(full_rate_kbit_per_s(view.picture_size())),
+            scales_colours: AtomicBool::new(false),
         }
     }
 
@@ -219,6 +221,16 @@ impl Viewer {
     /// Sets the rate that its video aims at.
     pub fn set_target_kbit_per_s(&self, kbit_per_s: u32) {
         self.target_kbit_per_s.store(kbit_per_s, Ordering::Release);
+    }
+
+    /// Whether it puts a video's colours back that were spread.
+    pub fn scales_colours(&self) -> bool {
+        self.scales_colours.load(Ordering::Acquire)
+    }
+
+    /// Says whether it does.
+    pub fn set_scales_colours(&self, does: bool) {
+        self.scales_colours.store(does, Ordering::Release);
     }
 
     /// Lets go of what waits and takes nothing more.

@@ -51,6 +51,7 @@ async fn of_the_codecs_that_a_viewer_lists_it_gets_the_first_that_there_is_and_i
         assert_eq!((header.width, header.height), (64, 32));
         assert_eq!(watcher.size_of(&header, &payload), (64, 32));
         assert_eq!(header.target_kbit_per_s, 500);
+        assert_eq!(header.colours, None, "nobody asked");
     }
     let viewers = world.get_json("/api/v1/viewers").await;
     assert_eq!(viewers[0]["codec"], "h264");
@@ -70,6 +71,19 @@ async fn of_the_codecs_that_a_viewer_lists_it_gets_the_first_that_there_is_and_i
     }
     let metrics = world.get("/metrics").await.text().await.expect("text");
     assert!(metrics.contains("skycell_encode_seconds_count{codec=\"h264\"}"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn colours_are_spread_for_who_says_that_it_puts_them_back() {
+    let world = start().await;
+    let mut hello = video_hello();
+    hello["scaled_colours"] = json!(true);
+    let (mut client, _) = Client::join_as(world.address(), hello).await;
+    for number in 0..3 {
+        let (header, _) = client.frame().await;
+        assert_eq!(header.codec, FrameCodec::H264);
+        assert!(header.colours.is_some(), "frame {number}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -183,6 +183,7 @@ pub(crate) fn frames() -> Vec<Input> {
                 stages: FrameStages::default(),
                 payload_bytes: 5,
                 target_kbit_per_s: 0,
+                colours: None,
             };
             Input::Bytes([header.encode().as_slice(), b"cloud"].concat())
         })

@@ -1,7 +1,8 @@
 //! `skycell-server measure codec`: what compression takes from the picture while a view turns (Weinrauch et al. 2023, 6.8).
 //!
 //! A camera turns within a cache that was marched once. Each picture goes through every encoder under study, as a viewer's
-//! would, is decoded, and is compared with the picture before compression.
+//! would, is decoded, and is compared with the picture before compression, which is the one that
+//! viewers of PNG get.
 
 mod page;
 mod streams;
@@ -86,12 +87,16 @@ pub struct CodecArguments {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Compression {
-    /// A stream of so many kbit/s.
+    /// A stream of so many kbit/s, its colours spread, for who puts them back.
     H264(u32),
+    /// The same with colours that any player shows.
+    PlainH264(u32),
     /// Pictures of such a quality.
     Jpeg(u8),
     /// Nothing but the colours of a video: 8 bits of brightness a pixel, of colour for each 2 x 2. No video of that kind is
     /// closer.
+    PlainColours,
+    /// The same with colours spread.
     Colours,
 }
 
@@ -100,8 +105,12 @@ impl Compression {
     fn name(self) -> String {
         match self {
             Self::H264(kbit_per_s) => format!("H.264 at {} Mbit/s", f64::from(kbit_per_s) / 1000.0),
+            Self::PlainH264(kbit_per_s) => {
+                format!("H.264 at {} Mbit/s, plain", f64::from(kbit_per_s) / 1000.0)
+            }
             Self::Jpeg(quality) => format!("JPEG {quality}"),
             Self::Colours => "colours of a video, not compressed".to_owned(),
+            Self::PlainColours => "plain colours of a video, not compressed".to_owned(),
         }
     }
 }
@@ -123,6 +132,8 @@ pub struct CodecPoint {
     pub flip_worst: f64,
     /// Mean SSIM of the compared pictures.
     pub ssim: f64,
+    /// Peak signal to noise of all three channels, dB, of the mean square over the compared pictures.
+    pub psnr_db: f64,
     /// Clock time of a picture's encoding, the median, ms.
     pub encode_ms: f64,
     /// How many pictures were compared.
@@ -205,11 +216,14 @@ impl CodecArguments {
     }
 
     fn compressions(&self) -> Vec<Compression> {
-        let rates = self.rates_kbit_per_s.iter().copied().map(Compression::H264);
+        let rates = self.rates_kbit_per_s.iter().copied();
         let qualities = self.jpeg_qualities.iter().copied().map(Compression::Jpeg);
         rates
+            .clone()
+            .map(Compression::H264)
+            .chain(rates.map(Compression::PlainH264))
             .chain(qualities)
-            .chain([Compression::Colours])
+            .chain([Compression::Colours, Compression::PlainColours])
             .collect()
     }
 }
@@ -233,7 +247,8 @@ pub(super) fn run(arguments: &CodecArguments) -> anyhow::Result<()> {
             ..MarchSettings::default()
         },
         samples: arguments.samples,
-        codec: Codec::H264,
+        // What all are compared with.
+        codec: Codec::Png,
         ..StillSettings::default()
     };
     let work = |size: &FrameSize| f64::from(size.pixels());
@@ -303,7 +318,7 @@ pub(super) fn run(arguments: &CodecArguments) -> anyhow::Result<()> {
 
 fn told(point: &CodecPoint) -> String {
     format!(
-        "{}x{}, {}: {:.2} Mbit/s, FLIP {:.4} (worst {:.4}), SSIM {:.4}, {:.1} ms to encode",
+        "{}x{}, {}: {:.2} Mbit/s, FLIP {:.4} (worst {:.4}), SSIM {:.4}, PSNR {:.2} dB, {:.1} ms to encode",
         point.size.width(),
         point.size.height(),
         point.compression.name(),
@@ -311,6 +326,7 @@ fn told(point: &CodecPoint) -> String {
         point.flip,
         point.flip_worst,
         point.ssim,
+        point.psnr_db,
         point.encode_ms,
     )
 }
@@ -328,6 +344,7 @@ mod tests {
             flip,
             flip_worst: flip,
             ssim: 1.0,
+            psnr_db: 50.0,
             encode_ms: 1.0,
             compared: 1,
         }
@@ -359,6 +376,8 @@ mod tests {
         let stream = Compression::H264(8_000);
         assert_eq!(report(vec![point([1280, 720], stream, 0.019)]), Some(true));
         assert_eq!(report(vec![point([1280, 720], stream, 0.021)]), Some(false));
+        let plain = Compression::PlainH264(8_000);
+        assert_eq!(report(vec![point([1280, 720], plain, 0.01)]), None);
         assert_eq!(report(vec![point([1920, 1080], stream, 0.01)]), None);
         assert_eq!(
             report(vec![point([1280, 720], Compression::Jpeg(85), 0.01)]),

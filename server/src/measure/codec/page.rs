@@ -51,6 +51,7 @@ fn plot(report: &CodecReport, size: FrameSize) -> Markup {
     };
     let curves: Vec<Curve> = [
         curve("H.264", |c| matches!(c, Compression::H264(_))),
+        curve("H.264, plain", |c| matches!(c, Compression::PlainH264(_))),
         curve("JPEG", |c| matches!(c, Compression::Jpeg(_))),
     ]
     .into_iter()
@@ -68,7 +69,7 @@ fn points(points: &[CodecPoint]) -> Markup {
     html! {
         div.scroll { table {
             thead { tr {
-                th { "Size" } th { "Compression" } th.n { "Mbit/s" } th.n { "FLIP" } th.n { "worst" } th.n { "SSIM" }
+                th { "Size" } th { "Compression" } th.n { "Mbit/s" } th.n { "FLIP" } th.n { "worst" } th.n { "SSIM" } th.n { "PSNR, dB" }
                 th.n { "largest, kB" } th.n { "ms to encode" }
             } }
             tbody { @for point in points { tr {
@@ -78,6 +79,7 @@ fn points(points: &[CodecPoint]) -> Markup {
                 td.n { (format!("{:.4}", point.flip)) }
                 td.n { (format!("{:.4}", point.flip_worst)) }
                 td.n { (format!("{:.4}", point.ssim)) }
+                td.n { (format!("{:.2}", point.psnr_db)) }
                 td.n { (format!("{:.0}", point.largest_bytes as f64 * 1e-3)) }
                 td.n { (format!("{:.1}", point.encode_ms)) }
             } } }

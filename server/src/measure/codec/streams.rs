@@ -1,7 +1,8 @@
 //! Pictures through an encoder and back.
 
 use super::{CodecPoint, Compression};
-use crate::encode::i420::{I420, rgb_of};
+use crate::encode::colours::Spread;
+use crate::encode::i420::{I420, rgb_of, rgb_of_spread};
 use crate::encode::{StreamPicture, ViewerStream, encode_after};
 use crate::measure::metrics::{ShownErrors, shown_errors};
 use crate::measure::reference::without_alpha;
@@ -19,11 +20,14 @@ pub(super) struct Studied {
     stream: ViewerStream,
     decoder: Decoder,
     planes: I420,
+    spread: Spread,
     /// When the next picture is made, by a clock that goes by pictures.
     now: Instant,
     bytes: Vec<usize>,
     encode_s: Vec<f64>,
     errors: Vec<ShownErrors>,
+    /// Of 8-bit steps, of every compared picture.
+    mean_squares: Vec<f64>,
 }
 
 impl Studied {
@@ -35,10 +39,12 @@ impl Studied {
             stream: ViewerStream::default(),
             decoder: Decoder::new()?,
             planes: I420::new(size),
+            spread: Spread::default(),
             now: Instant::now(),
             bytes: Vec::new(),
             encode_s: Vec::new(),
             errors: Vec::new(),
+            mean_squares: Vec::new(),
         })
     }
 
@@ -46,23 +52,29 @@ impl Studied {
     pub(super) fn take(&mut self, rgba: &[u8], is_compared: bool) -> anyhow::Result<()> {
         self.now += Duration::from_secs_f64(1.0 / f64::from(self.fps));
         match self.compression {
-            Compression::H264(target_kbit_per_s) => {
+            Compression::H264(target_kbit_per_s) | Compression::PlainH264(target_kbit_per_s) => {
                 let picture = StreamPicture {
                     rgba,
                     size: self.size,
                     codec: Codec::H264,
                     target_kbit_per_s,
                     fps_max: self.fps as f32,
+                    scales_colours: matches!(self.compression, Compression::H264(_)),
+                    is_pair: false,
                 };
                 let mut unit = Vec::new();
                 let begun = Instant::now();
-                self.stream
+                let made = self
+                    .stream
                     .encode(&picture, &mut false, self.now, &mut unit)?;
                 self.encode_s.push(begun.elapsed().as_secs_f64());
                 self.bytes.push(unit.len());
                 let planes = self.decoder.decode(&unit)?.context("no picture came")?;
                 if is_compared {
-                    let decoded = rgb_of(&planes, self.size)?;
+                    let decoded = match made.colours {
+                        Some(scale) => rgb_of_spread(&planes, scale, self.size)?,
+                        None => rgb_of(&planes, self.size)?,
+                    };
                     self.compare(rgba, decoded)?;
                 }
             }
@@ -78,13 +90,21 @@ impl Studied {
             }
             Compression::Colours if is_compared => {
                 let begun = Instant::now();
+                let (scale, _) = self.spread.fill(&mut self.planes, rgba, true, false)?;
+                self.encode_s.push(begun.elapsed().as_secs_f64());
+                self.bytes.push(self.planes.bytes());
+                let decoded = rgb_of_spread(&self.planes, scale, self.size)?;
+                self.compare(rgba, decoded)?;
+            }
+            Compression::PlainColours if is_compared => {
+                let begun = Instant::now();
                 self.planes.fill(rgba)?;
                 self.encode_s.push(begun.elapsed().as_secs_f64());
                 self.bytes.push(self.planes.bytes());
                 let decoded = rgb_of(&self.planes, self.size)?;
                 self.compare(rgba, decoded)?;
             }
-            Compression::Jpeg(_) | Compression::Colours => {}
+            Compression::Jpeg(_) | Compression::Colours | Compression::PlainColours => {}
         }
         Ok(())
     }
@@ -96,6 +116,10 @@ impl Studied {
         };
         let before = picture(without_alpha(rgba))?;
         let after = picture(decoded)?;
+        let pairs = before.as_raw().iter().zip(after.as_raw());
+        let sum: u64 = pairs.map(|(a, b)| u64::from(a.abs_diff(*b)).pow(2)).sum();
+        self.mean_squares
+            .push(sum as f64 / before.as_raw().len() as f64);
         self.errors.push(shown_errors(&before, &after)?);
         Ok(())
     }
@@ -121,6 +145,8 @@ impl Studied {
                 .map(|errors| errors.flip)
                 .fold(0.0, f64::max),
             ssim: mean(&mut self.errors.iter().map(|errors| errors.ssim)),
+            psnr_db: 10.0
+                * (255.0_f64.powi(2) / mean(&mut self.mean_squares.iter().copied())).log10(),
             encode_ms: median_s * 1e3,
             compared: self.errors.len() as u32,
         }
