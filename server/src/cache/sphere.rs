@@ -148,8 +148,8 @@ pub(super) enum Urgency {
     Missing,
     /// Shows an older scene.
     Stale,
-    /// Has fewer samples than it should, or shows a sky or is seen from where it was some time ago: the one of which the
-    /// largest error is expected comes first.
+    /// Has fewer samples than it should, or shows a sky or is seen from where it was some time ago: the one that a sample is
+    /// expected to help most comes first.
     Wrong,
 }
 
@@ -172,7 +172,7 @@ pub(super) struct Sample {
 pub(super) struct Candidate {
     pub(super) key: TileKey,
     pub(super) urgency: Urgency,
-    /// Expected error times those who see it, percent.
+    /// Expected gain times those who see it, percent.
     seen_percent: f64,
     attention: f64,
     eccentricity_rad: f64,
@@ -181,7 +181,7 @@ pub(super) struct Candidate {
 }
 
 impl Candidate {
-    /// Order of updates: urgency, then the largest expected error, then what is seen most, then nearest to the middle of a
+    /// Order of updates: urgency, then the largest expected gain, then what is seen most, then nearest to the middle of a
     /// picture.
     pub(super) fn rank(&self, other: &Self) -> std::cmp::Ordering {
         (self.urgency.cmp(&other.urgency))
@@ -449,15 +449,15 @@ impl SphereCache {
                 }
                 Some(_) => continue,
             };
-            let expected = tile
+            let gained = tile
                 .filter(|_| urgency == Urgency::Wrong)
                 .map_or(0.0, |tile| {
-                    self.expected_percent(tile, reference, want.distance_m)
+                    self.gained_percent(tile, reference, want.distance_m, samples)
                 });
             into.push(Candidate {
                 key: *key,
                 urgency,
-                seen_percent: expected * f64::from(want.viewers.max(1)),
+                seen_percent: gained * f64::from(want.viewers.max(1)),
                 attention: want.attention,
                 eccentricity_rad: want.eccentricity_rad,
                 owed: samples.saturating_sub(have).max(1),

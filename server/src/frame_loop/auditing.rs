@@ -103,6 +103,7 @@ impl SkyRenderer {
             }
             all.extend(texels);
         }
+        self.note_audited(&all, now);
         all
     }
 
@@ -279,9 +280,12 @@ mod tests {
     use crate::frame_loop::interface::ViewRequest;
     use crate::march::sky_light;
     use serde_json::json;
-    use skycell_protocol::{Camera, Codec, FrameSize, RendererKind, Scene, ViewerId};
+    use skycell_protocol::{
+        Camera, Codec, FrameSize, QualityChoice, RendererKind, Scene, ViewerId,
+    };
     use std::path::PathBuf;
     use std::sync::Arc;
+    use std::time::Duration;
 
     fn scene_with_sun_at(azimuth_deg: f64) -> Arc<Scene> {
         let document = json!({"version": 1, "sun": {"azimuth_deg": azimuth_deg}});
@@ -290,15 +294,25 @@ mod tests {
 
     /// A renderer whose only viewer's sky has converged.
     fn converged(steps: u32) -> SkyRenderer {
+        let mut renderer = renderer(Some(steps));
+        join(&mut renderer, None);
+        converge(&mut renderer);
+        renderer
+    }
+
+    fn renderer(march_steps: Option<u32>) -> SkyRenderer {
         let noise = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/noise-of-tests");
         let config = RenderConfig {
-            march_steps: Some(steps),
+            march_steps,
             mip_bias: Some(1.0),
             ..RenderConfig::new(PathBuf::from(noise))
         };
         let gpu = Gpu::open_blocking().expect("a device");
         let scene = scene_with_sun_at(150.0);
-        let mut renderer = SkyRenderer::new(gpu, config, scene, 1, &[]).expect("a renderer");
+        SkyRenderer::new(gpu, config, scene, 1, &[]).expect("a renderer")
+    }
+
+    fn join(renderer: &mut SkyRenderer, quality: Option<QualityChoice>) {
         renderer.join(
             ViewerId(1),
             ViewRequest {
@@ -308,20 +322,23 @@ mod tests {
                 jpeg_quality: 100,
                 camera: Camera::new([0.0, 2.0, 0.0], 0.0, 25.0, 60.0).expect("a camera"),
                 renderer: RendererKind::Cached,
-                quality: None,
+                quality,
                 show: skycell_protocol::Show::Picture,
                 stereo: None,
                 haze: true,
                 linear: false,
             },
         );
+    }
+
+    fn converge(renderer: &mut SkyRenderer) {
         loop {
             renderer.refresh_cells();
             while renderer.update_sun_volumes(64) {
                 renderer.gpu.wait().expect("a device");
             }
             if renderer.march(64).is_empty() {
-                return renderer;
+                return;
             }
             renderer.gpu.wait().expect("a device");
         }
@@ -362,5 +379,55 @@ mod tests {
         let coarse = audited(&mut converged(16));
         let fine = audited(&mut converged(128));
         assert!(coarse.p95_percent > fine.p95_percent, "{coarse:?} {fine:?}");
+    }
+
+    #[test]
+    fn where_audits_find_more_than_was_asked_for_it_is_marched_more_finely_until_they_do_not() {
+        const ASKED: f64 = 0.1;
+        let mut renderer = renderer(None);
+        renderer.let_qualities_be_chosen().expect("pipelines");
+        join(&mut renderer, Some(QualityChoice::MaxError(ASKED)));
+        let mut now = Instant::now();
+        let mut found = Vec::new();
+        for _ in 0..4 {
+            converge(&mut renderer);
+            renderer.audit.restart();
+            renderer.consider_errors(now);
+            // What was audited before the last change has come back by then.
+            now += Duration::from_secs(10);
+            for _ in 0..8 {
+                renderer.audit(AUDIT_TEXELS_MAX);
+                renderer.gpu.wait().expect("a device");
+                renderer.collect_audit(now);
+            }
+            let viewer = &renderer.viewers[&ViewerId(1)];
+            let steps = viewer.quality.settings.march_steps;
+            let is_met = renderer.viewer_quality_stats(viewer).is_met;
+            let p95_percent = renderer.audit.stats(now).p95_percent.expect("audited");
+            println!("{steps} steps: p95 {p95_percent:.1} %, kept: {is_met}");
+            assert_eq!(renderer.cell_settings(viewer.cell).steps, steps);
+            assert_eq!(is_met, renderer.error_note(viewer.cell).is_none());
+            found.push((steps, p95_percent, is_met));
+            renderer.consider_errors(now);
+        }
+        let (first, last) = (found[0], found[3]);
+        // What the table picks has a mean FLIP of .055, and 5 % of the texels are worse than .1.
+        assert!(
+            first.0 == 32 && first.1 > 100.0 * ASKED && !first.2,
+            "{found:?}"
+        );
+        assert!(
+            last.0 > 32 && last.1 <= 100.0 * ASKED && last.2,
+            "{found:?}"
+        );
+        // No finer than it takes.
+        let kept = found
+            .iter()
+            .position(|(_, _, is_met)| *is_met)
+            .expect("kept");
+        assert!(
+            found[kept..].iter().all(|(steps, _, _)| *steps == last.0),
+            "{found:?}"
+        );
     }
 }

@@ -55,6 +55,11 @@ impl Losses {
         self.rate.rate()
     }
 
+    /// How much is given up because marching does not keep up, 0 for nothing.
+    pub(super) fn rate_step(&self) -> u32 {
+        self.rate.step()
+    }
+
     /// What a cell would hold of what viewers ask for; an upper bound where that is known to fit.
     pub(super) fn wish_of(
         &self,
@@ -185,6 +190,7 @@ impl SkyRenderer {
         if cell.lost > 0 {
             notes.push(format!("the mip bias is {} higher", cell.lost));
         }
+        notes.extend(self.error_note(id));
         (!notes.is_empty()).then(|| notes.join("; "))
     }
 

@@ -1,6 +1,7 @@
 //! The thread that owns the GPU: takes commands, updates caches, composites frames, reads them
 //! back.
 
+mod asked_errors;
 mod auditing;
 mod awaited_scene;
 mod budgets;

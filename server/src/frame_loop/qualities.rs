@@ -1,5 +1,6 @@
 //! Which quality each viewer, each cell and the scene have: what is asked for, what is picked, what it costs.
 
+use super::asked_errors::AskedErrors;
 use super::cells_on_device::ActiveCell;
 use super::interface::{AskedBy, QualityStats, ViewRequest};
 use super::renderer::SkyRenderer;
@@ -51,14 +52,16 @@ impl UnitTime {
 #[derive(Debug)]
 pub(super) struct Qualities {
     pub(super) table: QualityTable,
-    overrides: QualityOverrides,
+    pub(super) overrides: QualityOverrides,
     default: QualityChoice,
     /// Somebody has chosen the default: it is not only what the adapter affords.
-    default_is_asked: bool,
+    pub(super) default_is_asked: bool,
+    /// How finely is marched for errors that are asked for.
+    pub(super) asked_errors: AskedErrors,
     /// How the error of a shared cache grows with the distance, by how it is read.
     curves: ErrorCurves,
     /// Viewers and scenes may choose; single pictures have their own settings.
-    are_chosen: bool,
+    pub(super) are_chosen: bool,
     composite: UnitTime,
     tile: UnitTime,
     due: Instant,
@@ -73,8 +76,8 @@ const SOFTWARE_PARALLAX_STEPS: u32 = 4;
 /// The quality of one viewer.
 #[derive(Clone, Debug)]
 pub(super) struct ViewerQuality {
-    asked: QualityChoice,
-    asked_by: AskedBy,
+    pub(super) asked: QualityChoice,
+    pub(super) asked_by: AskedBy,
     pick: Pick,
     governor: Option<BudgetGovernor>,
     /// The point's, with what the configuration fixes.
@@ -110,6 +113,7 @@ impl Qualities {
             },
             default: config.quality.unwrap_or(default),
             default_is_asked: config.quality.is_some(),
+            asked_errors: AskedErrors::default(),
             curves: ErrorCurves::embedded(),
             are_chosen: false,
             composite: UnitTime::default(),
@@ -154,7 +158,7 @@ impl Qualities {
             measured: point.measured
                 && quality.settings == from_the_reference(point.settings, &quality.settings),
             settings: quality.settings,
-            is_met: quality.pick.is_met,
+            is_met: quality.pick.is_met && self.is_error_kept(quality.asked, quality.asked_by),
             device_ms_per_frame: quality.device_ms,
         }
     }
@@ -232,7 +236,7 @@ impl SkyRenderer {
             _ => self.qualities.pick(asked),
         };
         let settings = if self.qualities.are_chosen {
-            self.within_scene(self.qualities.settings(pick))
+            self.within_scene(self.qualities.settings_for(asked, asked_by, pick.point))
         } else {
             self.own_settings()
         };
@@ -271,7 +275,9 @@ impl SkyRenderer {
             Some(QualityChoice::BudgetMs(_)) | None => None,
             Some(_) if !self.qualities.are_chosen => None,
             Some(choice) => {
-                Some(self.within_scene(self.qualities.settings(self.qualities.pick(choice).0)))
+                let point = self.qualities.pick(choice).0.point;
+                let settings = self.qualities.settings_for(choice, AskedBy::Scene, point);
+                Some(self.within_scene(settings))
             }
         };
         let members = self.viewers.values().filter(|viewer| viewer.cell == id);
@@ -308,19 +314,12 @@ impl SkyRenderer {
         if !qualities.are_chosen {
             return;
         }
-        let max_error = |quality: &ViewerQuality| match quality.asked {
-            QualityChoice::MaxError(_)
-                if quality.asked_by == AskedBy::Server && !qualities.default_is_asked =>
-            {
-                None
-            }
-            QualityChoice::MaxError(flip) => Some(flip),
-            QualityChoice::Preset(_) | QualityChoice::BudgetMs(_) => None,
-        };
         for (id, viewer) in &self.viewers {
             let steps = viewer.quality.settings.parallax_steps;
             let curve = qualities.curves.of(self.kept_on.slabs, steps);
-            let limit = max_error(&viewer.quality).map(|flip| curve.limit(flip));
+            let quality = &viewer.quality;
+            let error = qualities.asked_error(quality.asked, quality.asked_by);
+            let limit = error.map(|flip| curve.limit(flip));
             self.cells.set_limit_of(*id, limit);
         }
     }
@@ -332,6 +331,7 @@ impl SkyRenderer {
         }
         self.qualities.due = now + BUDGET_INTERVAL;
         self.refresh_limit();
+        self.consider_errors(now);
         let composites = self.gpu_time(TimedPass::Composite);
         let tiles = self.gpu_time(TimedPass::Cache);
         let are_fresh = self.qualities.composite.measure(composites);

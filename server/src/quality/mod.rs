@@ -2,9 +2,11 @@
 //! table of points of the trade between speed and accuracy. Pure decisions; `frame_loop` carries them out.
 
 mod budget;
+mod error;
 mod settings;
 mod table;
 
 pub use budget::{BudgetGovernor, FrameCost};
+pub use error::{BEYOND_MAX, ErrorGovernor};
 pub use settings::{PARALLAX_STEPS_MAX, QualityOverrides, QualitySettings, default_parallax_steps};
 pub use table::{Pick, PointCost, PointError, QualityPoint, QualityTable, QualityTableError};

@@ -43,7 +43,7 @@ fn audit_texels(@builtin(global_invocation_id) id: vec3u) {
     if id.y >= arrayLength(&work) { return; }
     let item = work[id.y];
     let texel = texel_in_level(item.tile, item.texel);
-    let square = (texel + 0.5 + FOOTPRINT_TEXELS * sample_offset(id.x)) / item.texels_per_side;
+    let square = (texel + 0.5 + FOOTPRINT_TEXELS * sample_offset(texel, id.x)) / item.texels_per_side;
     let proxy = scene.proxies[item.proxy];
     let direction = texel_direction(scene.planet.radius_m, proxy, reference.position, square);
     let start = sample_start_fraction(texel, id.x);

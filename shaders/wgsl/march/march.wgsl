@@ -726,25 +726,35 @@ fn interleaved_gradient_noise(position: vec2f) -> f32 {
 }
 
 /// Eight places of 1/8 by 1/8, no two in a row or column, whose mean is the middle (the standard pattern of eightfold
-/// multisampling), in 1/16: a mean beside the middle would shift the picture.
+/// multisampling), in 1/16: a mean beside the middle would shift the picture. Those next to the middle come first.
 const SAMPLE_PLACES: array<vec2f, 8> = array<vec2f, 8>(
     vec2f(1.0, -3.0), vec2f(-1.0, 3.0), vec2f(5.0, 1.0), vec2f(-3.0, -5.0),
     vec2f(-5.0, 5.0), vec2f(-7.0, -1.0), vec2f(3.0, 7.0), vec2f(7.0, -7.0),
 );
 
-/// Offset of sample k inside its texel or pixel, each component in -0.5...0.5. Every further eight move inside their
-/// places by the R2 sequence of M. Roberts, 2018, pairwise to opposite sides.
-fn sample_offset(index: u32) -> vec2f {
+/// Offset of sample k inside its texel or pixel, each component in -0.5...0.5. Every other neighbour takes each two places the
+/// other way round, so that few samples do not shift the picture. Every further eight move inside their places by the R2 sequence
+/// of M. Roberts, 2018, pairwise to opposite sides.
+fn sample_offset(cell: vec2f, index: u32) -> vec2f {
     var places = SAMPLE_PLACES;
+    let at = cell_indices(cell);
     let round = index / 8u;
     let within = fract(vec2f(0.5) + f32((round + 1u) / 2u) * vec2f(0.7548776662466927, 0.5698402909980532)) - 0.5;
-    return places[index % 8u] / 16.0 + select(within, -within, round % 2u == 1u) / 8.0;
+    let place = index % 8u ^ (at.x + at.y) % 2u;
+    return places[place] / 16.0 + select(within, -within, round % 2u == 1u) / 8.0;
 }
 
 /// Fraction of a step at which sample k of a texel or pixel stands, 0...1. Eight samples stand in eight equal parts of the
-/// step, far ones first; within a part neighbours differ, and so do further eight, by the golden ratio.
+/// step, far ones first, and eight neighbours, two across and four down, begin with another part each: one sample of each shows
+/// all parts of the step. Within a part neighbours differ, and so do further eight, by the golden ratio.
 fn sample_start_fraction(cell: vec2f, index: u32) -> f32 {
-    let part = reverseBits(index % 8u) >> 29u;
+    let at = cell_indices(cell);
+    let part = reverseBits((index + 3u * at.x + 2u * at.y) % 8u) >> 29u;
     let within = fract(interleaved_gradient_noise(cell) + f32(index / 8u) * 0.6180339887498949);
     return (f32(part) + within) / 8.0;
+}
+
+/// Column and row of a texel or pixel, modulo 8: gutters have those of the texels that they repeat.
+fn cell_indices(cell: vec2f) -> vec2u {
+    return vec2u(vec2i(floor(cell)) & vec2i(7));
 }

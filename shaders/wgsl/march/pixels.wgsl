@@ -86,7 +86,7 @@ fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
 fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
     let pixel = vec2u(id.x, id.y + view.first_row);
     if pixel.x >= view.width || pixel.y >= view.height { return; }
-    let offset = view.jitter * sample_offset(view.sample_index);
+    let offset = view.jitter * sample_offset(vec2f(pixel), view.sample_index);
 #ifdef RAY_LIST
     let ray = rays[pixel.y * view.width + pixel.x];
     // Across and down a pixel.

@@ -99,7 +99,7 @@ fn march_texels(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_i
     let item = work[group.z];
     let stored = group.xy * 8u + local.xy;
     let texel = texel_in_level(item.tile, stored);
-    let square = (texel + 0.5 + FOOTPRINT_TEXELS * sample_offset(item.sample_index)) / item.texels_per_side;
+    let square = (texel + 0.5 + FOOTPRINT_TEXELS * sample_offset(texel, item.sample_index)) / item.texels_per_side;
     let proxy = scene.proxies[item.proxy];
     let direction = texel_direction(scene.planet.radius_m, proxy, item.origin, square);
 

@@ -2,7 +2,7 @@
 
 use super::{
     AGE_DRIFTING, AGE_MOVED, AGE_REST, AGE_STEP_RAD, CARRIED_BEHIND, LEAD_MAX_M, MOVED_TEXELS,
-    RESAMPLED_SAMPLES, SphereCache, Tile, Want, behind_max, steps_of_age,
+    REFRESH_WEIGHT, RESAMPLED_SAMPLES, SphereCache, Tile, Want, behind_max, steps_of_age,
 };
 use crate::cache::address::{TileKey, texel_solid_angle_sr};
 use glam::DVec3;
@@ -141,20 +141,54 @@ impl SphereCache {
         seen_elsewhere || rate * tile.behind(self.moved) > behind_max(is_calm, want) * lasts
     }
 
-    /// What a tile is expected to be wrong by, percent, as an audit measures it.
-    pub(super) fn expected_percent(&self, tile: &Tile, reference: DVec3, distance_m: f64) -> f64 {
-        self.expected_of(tile, Self::moved_m(tile, reference), distance_m)
+    /// By how much one more sample is expected to make a tile with `samples` at most less wrong, percent. Of what is wrong with a
+    /// tile most may be there afterwards, too: noise of seven samples is hardly less with an eighth, that of one is with a second.
+    pub(super) fn gained_percent(
+        &self,
+        tile: &Tile,
+        reference: DVec3,
+        distance_m: f64,
+        samples: u32,
+    ) -> f64 {
+        let taken = f64::from(Self::samples_in(tile));
+        let is_whole = tile.samples >= samples;
+        let noise = if is_whole {
+            0.0
+        } else {
+            taken.sqrt().recip() - (taken + 1.0).sqrt().recip()
+        };
+        let weight = if is_whole {
+            f64::from(REFRESH_WEIGHT)
+        } else {
+            (taken + 1.0).recip()
+        };
+        let moved_m = (1.0 - CARRIED_BEHIND) * Self::moved_m(tile, reference);
+        let risen_m = weight * self.risen_m(tile);
+        let percent = PERCENT_OF_A_SAMPLE * noise
+            + (PERCENT_PER_RAD_MOVED * moved_m + PERCENT_PER_RAD_RISEN * risen_m)
+                / distance_m.max(1.0)
+            + PERCENT_PER_STEP * weight * tile.behind(self.moved);
+        (tile.rate * percent).min(PERCENT_MAX)
+    }
+
+    /// Samples that what a tile holds counts as.
+    fn samples_in(tile: &Tile) -> f32 {
+        if tile.resampled {
+            RESAMPLED_SAMPLES
+        } else {
+            tile.samples.max(1) as f32 + tile.old_samples
+        }
+    }
+
+    /// How far the noise has risen through the clouds since what a tile shows, m.
+    fn risen_m(&self, tile: &Tile) -> f64 {
+        tile.left_m + (tile.evolved_m - self.evolved_m).abs()
     }
 
     /// What a tile is expected to be wrong by when it is seen from so far away from where it was marched for, percent.
     fn expected_of(&self, tile: &Tile, moved_m: f64, distance_m: f64) -> f64 {
-        let samples = if tile.resampled {
-            RESAMPLED_SAMPLES
-        } else {
-            tile.samples.max(1) as f32 + tile.old_samples
-        };
-        let risen_m = tile.left_m + (tile.evolved_m - self.evolved_m).abs();
-        let percent = PERCENT_OF_A_SAMPLE / f64::from(samples).sqrt()
+        let risen_m = self.risen_m(tile);
+        let percent = PERCENT_OF_A_SAMPLE / f64::from(Self::samples_in(tile)).sqrt()
             + (PERCENT_PER_RAD_MOVED * moved_m + PERCENT_PER_RAD_RISEN * risen_m)
                 / distance_m.max(1.0)
             + PERCENT_PER_STEP * tile.behind(self.moved);
@@ -167,7 +201,7 @@ impl SphereCache {
         let tile = self.tiles.get(key)?;
         let distance_m = self.wanted.get(key)?.distance_m.max(1.0);
         let moved_m = tile.shown_from.distance(reference);
-        let risen_m = tile.left_m + (tile.evolved_m - self.evolved_m).abs();
+        let risen_m = self.risen_m(tile);
         let expected = self.expected_of(tile, moved_m, distance_m);
         Some((expected, (moved_m + risen_m) / distance_m))
     }

@@ -1,0 +1,160 @@
+//! Errors that viewers and scenes ask for: what audits find of a cell's texels is held against what is asked there, and decides how
+//! finely is marched.
+
+use super::auditing::AuditedTexel;
+use super::interface::AskedBy;
+use super::qualities::{Qualities, ViewerQuality};
+use super::renderer::SkyRenderer;
+use crate::quality::{ErrorGovernor, QualitySettings};
+use skycell_protocol::{CellId, QualityChoice, ViewerId};
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+/// Errors that are followed at a time: others get what the table picks for them.
+const ERRORS_MAX: usize = 64;
+
+/// How finely is marched for each error that somebody asks for.
+#[derive(Debug, Default)]
+pub(super) struct AskedErrors {
+    /// By error, FLIP.
+    governors: Vec<(f64, ErrorGovernor)>,
+}
+
+impl AskedErrors {
+    fn of(&self, max_error: f64) -> Option<&ErrorGovernor> {
+        let found = self.governors.iter().find(|(asked, _)| *asked == max_error);
+        found.map(|(_, governor)| governor)
+    }
+}
+
+impl Qualities {
+    /// The error that somebody has asked for. Where nobody has, the default is what a software driver can afford, and no promise.
+    pub(super) fn asked_error(&self, asked: QualityChoice, by: AskedBy) -> Option<f64> {
+        match asked {
+            QualityChoice::MaxError(_) if by == AskedBy::Server && !self.default_is_asked => None,
+            QualityChoice::MaxError(flip) => Some(flip),
+            QualityChoice::Preset(_) | QualityChoice::BudgetMs(_) => None,
+        }
+    }
+
+    /// Settings of a point, with rays that are marched as finely as audits have shown to be needed.
+    pub(super) fn settings_for(
+        &self,
+        asked: QualityChoice,
+        by: AskedBy,
+        point: usize,
+    ) -> QualitySettings {
+        let picked = self.overrides.over(self.table.point(point).settings);
+        let error = self.asked_error(asked, by);
+        let Some(governor) = error.and_then(|error| self.asked_errors.of(error)) else {
+            return picked;
+        };
+        if governor.point() == point {
+            return picked;
+        }
+        // Audits look at what is marched, and so much is changed: resolution and filter are of the picture that was asked for.
+        let marched = self
+            .overrides
+            .over(self.table.point(governor.point()).settings);
+        QualitySettings {
+            mip_bias: picked.mip_bias,
+            frame_filter: picked.frame_filter,
+            parallax_steps: picked.parallax_steps,
+            ..marched
+        }
+    }
+
+    /// Nothing that was audited speaks against an error that was asked for being kept.
+    pub(super) fn is_error_kept(&self, asked: QualityChoice, by: AskedBy) -> bool {
+        let error = self.asked_error(asked, by);
+        let governor = error.and_then(|error| self.asked_errors.of(error));
+        governor.is_none_or(ErrorGovernor::is_kept)
+    }
+
+    fn error_of(&self, quality: &ViewerQuality) -> Option<f64> {
+        self.asked_error(quality.asked, quality.asked_by)
+    }
+}
+
+impl SkyRenderer {
+    /// The least error that viewers of each cell ask for.
+    fn errors_of_cells(&self) -> BTreeMap<CellId, f64> {
+        let mut errors: BTreeMap<CellId, f64> = BTreeMap::new();
+        for viewer in self.viewers.values() {
+            if let Some(error) = self.qualities.error_of(&viewer.quality) {
+                let least = errors.entry(viewer.cell).or_insert(error);
+                *least = least.min(error);
+            }
+        }
+        errors
+    }
+
+    /// Holds what was audited against what is asked for in each cell.
+    pub(super) fn note_audited(&mut self, texels: &[AuditedTexel], now: Instant) {
+        if texels.is_empty() || !self.qualities.are_chosen {
+            return;
+        }
+        let errors = self.errors_of_cells();
+        for (error, governor) in &mut self.qualities.asked_errors.governors {
+            let here = texels
+                .iter()
+                .filter(|texel| errors.get(&texel.sphere.cell) == Some(error));
+            governor.note(
+                here.map(|texel| texel.deviation_percent > 100.0 * *error),
+                now,
+            );
+        }
+    }
+
+    /// Lets it be marched more finely where audits find more than was asked for, as far as time suffices, and less finely where it
+    /// is needed no more.
+    pub(super) fn consider_errors(&mut self, now: Instant) {
+        if !self.qualities.are_chosen {
+            return;
+        }
+        let asked: Vec<(ViewerId, f64)> = self
+            .viewers
+            .iter()
+            .filter_map(|(id, viewer)| Some((*id, self.qualities.error_of(&viewer.quality)?)))
+            .collect();
+        let is_behind = self.losses.rate_step() > 0;
+        let Qualities {
+            asked_errors: AskedErrors { governors },
+            table,
+            ..
+        } = &mut self.qualities;
+        governors.retain(|(error, _)| asked.iter().any(|(_, other)| other == error));
+        for (_, error) in &asked {
+            let is_known = governors.iter().any(|(known, _)| known == error);
+            if !is_known && governors.len() < ERRORS_MAX {
+                let least = table.pick_error(*error).point;
+                governors.push((*error, ErrorGovernor::new(least)));
+            }
+        }
+        let mut changed = Vec::new();
+        for (error, governor) in governors {
+            if governor.consider(table, is_behind, now) {
+                changed.push(*error);
+            }
+        }
+        for (id, error) in asked {
+            if changed.contains(&error) {
+                self.refresh_quality(id);
+            }
+        }
+    }
+
+    /// What a cell's viewers do not get of the error that they ask for, for people.
+    pub(super) fn error_note(&self, cell: CellId) -> Option<String> {
+        let error = *self.errors_of_cells().get(&cell)?;
+        let share = self.qualities.asked_errors.of(error)?.share_beyond()?;
+        (share > crate::quality::BEYOND_MAX).then(|| {
+            format!(
+                "the error that was asked for is not kept ({:.0} % of the audited texels deviate by more than {:.1} %, allowed: {:.0} %)",
+                100.0 * share,
+                100.0 * error,
+                100.0 * crate::quality::BEYOND_MAX
+            )
+        })
+    }
+}
