@@ -2,13 +2,14 @@
 
 use std::time::Duration;
 
-use anyhow::ensure;
-use serde_json::json;
+use anyhow::{Context, ensure};
+use serde_json::{Value, json};
+use skycell_client::Frame;
 use skycell_protocol::message::Hello;
 use skycell_protocol::{Codec, FrameSize, RendererKind, Show};
 use skycell_tests::server::total_of;
 use skycell_tests::viewer::camera;
-use skycell_tests::{Server, Viewer};
+use skycell_tests::{PATIENCE, Server, ServerOptions, Viewer};
 use tokio::time::Instant;
 
 use crate::Outcome;
@@ -109,5 +110,58 @@ async fn a_sky_at_rest_is_composited_no_more_for_any_codec_or_renderer() -> Outc
         }
         server.at_rest(0).await?;
     }
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn after_motion_that_took_samples_no_frame_is_called_exact_before_they_are_there() -> Outcome
+{
+    // A device that marches hardly at all while somebody moves.
+    let options = ServerOptions {
+        render_toml: "march_share = 0.02".to_owned(),
+        ..ServerOptions::default()
+    };
+    let server = Server::start_with(options).await?;
+    server.calm().await?;
+    let viewer = Viewer::join(&server, 0.0).await?;
+    viewer.picture().await?;
+    let begun = Instant::now();
+    let lost = |stats: &Value| stats["losses"]["samples_divisor"].as_u64();
+    // Each step is into another cell, so there is always all to be marched.
+    let mut east_m = 0.0;
+    loop {
+        east_m += 40_000.0;
+        viewer.look(camera([east_m, 2.0, 0.0], 0.0, 20.0)?).await?;
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        if lost(&server.get("api/v1/stats").await?).context("a divisor")? > 1 {
+            break;
+        }
+        ensure!(begun.elapsed() < PATIENCE, "nothing is given up");
+    }
+    println!(
+        "samples are given up after {:.1} s of jumping",
+        begun.elapsed().as_secs_f64()
+    );
+    let input = viewer.look(camera([east_m, 2.0, 0.0], 0.0, 20.0)?).await?;
+    let exact = |frame: &Frame| frame.header.input >= input && frame.header.exact;
+    let seen = viewer
+        .wait_for("an exact frame", |seen| {
+            seen.frame.as_ref().is_some_and(exact)
+        })
+        .await?;
+    println!(
+        "an exact frame after {:.1} s",
+        begun.elapsed().as_secs_f64()
+    );
+    let stats = server.at_rest(1).await?;
+    ensure!(lost(&stats) == Some(1), "{}", stats["losses"]);
+    stays_at_rest(&server, "after a turn").await?;
+    let after = viewer.seen();
+    ensure!(
+        after.frames == seen.frames,
+        "{} frames after the exact one",
+        after.frames - seen.frames
+    );
+    viewer.close().await;
     Ok(())
 }
