@@ -240,8 +240,9 @@ impl Server {
         total_of(&self.get("api/v1/stats").await?, name)
     }
 
-    /// Waits until `viewers` viewers are placed, no cell waits for an update, every frame is acknowledged, and nothing
-    /// has been submitted for 600 ms. Returns the figures.
+    /// Waits until `viewers` viewers are placed, no cell waits for an update, what motion had taken from the sky is there again
+    /// (which begins when all has rested for 2 s), every frame is acknowledged, and nothing has been submitted for 600 ms.
+    /// Returns the figures.
     ///
     /// # Errors
     /// When that takes too long.
@@ -257,7 +258,8 @@ impl Server {
             let acknowledged = stats["viewers"].as_array().is_some_and(|all| {
                 all.len() == viewers && all.iter().all(|viewer| viewer["frames_in_flight"] == 0)
             });
-            if submissions != before.0 || !converged || !acknowledged {
+            let is_whole = stats["losses"]["rate_step"] == 0;
+            if submissions != before.0 || !converged || !is_whole || !acknowledged {
                 before = (submissions, tokio::time::Instant::now());
             }
             last = stats;

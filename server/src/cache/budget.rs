@@ -297,6 +297,12 @@ impl Rate {
     pub fn samples(&self, samples: u32) -> u32 {
         (samples / self.samples_divisor).max(1)
     }
+
+    /// Whether a picture at rest would be finer with nothing given up.
+    #[must_use]
+    pub fn coarsens(&self) -> bool {
+        self.samples_divisor > 1 || self.lost > 0
+    }
 }
 
 /// What all cells have lost for want of time.

@@ -132,10 +132,16 @@ impl SkyRenderer {
         }
     }
 
-    /// Looks at the work that waits, which takes so long at marching's share of the time, and lowers or raises the rate.
-    pub(super) fn consider_rate(&mut self, now: Instant, s_per_tile: f64, is_hurried: bool) {
+    /// Looks at the work that waits, which takes so long at marching's share of the time, and lowers or raises the rate. True
+    /// when pictures may be as fine as they get again.
+    pub(super) fn consider_rate(
+        &mut self,
+        now: Instant,
+        s_per_tile: f64,
+        is_hurried: bool,
+    ) -> bool {
         if now < self.losses.rate_due {
-            return;
+            return false;
         }
         self.losses.rate_due = now + RATE_INTERVAL;
         let has_viewers = !self.viewers.is_empty();
@@ -148,9 +154,11 @@ impl SkyRenderer {
         self.losses.backlog_s = tiles as f64 * s_per_tile / share;
         let now_s = now.duration_since(self.losses.begun).as_secs_f64();
         let backlog_s = self.losses.backlog_s;
+        let was_coarse = self.losses.rate().coarsens();
         if self.losses.rate.consider(backlog_s, is_hurried, now_s) {
             self.touch_all_requests();
         }
+        was_coarse && !self.losses.rate().coarsens()
     }
 
     /// Lets tiles go that nobody has looked at for long.

@@ -342,8 +342,7 @@ impl FrameLoop {
         self.take_awaited_scene();
         self.follow_time(passed);
         let is_hurried = self.hurried_fps(now) > 0.0;
-        self.renderer
-            .consider_rate(now, self.ns_per_tile * 1e-9, is_hurried);
+        let is_fine_again = (self.renderer).consider_rate(now, self.ns_per_tile * 1e-9, is_hurried);
         if self.paces.is_empty() {
             self.publish(now, true);
             return if self.renderer.in_flight() > 0 {
@@ -361,6 +360,9 @@ impl FrameLoop {
             if let Some(pace) = self.paces.get_mut(&viewer) {
                 pace.change = Change::Seen;
             }
+        }
+        if is_fine_again {
+            self.show_fine_again();
         }
         self.note_ages(now);
         self.renderer.consider_budgets(now);
@@ -402,6 +404,17 @@ impl FrameLoop {
         let marched = self.march(now);
         self.publish(now, false);
         self.next_wait(now, marched)
+    }
+
+    /// Pictures of the cache are no coarser any more than was wished, and may be exact: a frame says so even where nothing
+    /// is left to be marched.
+    fn show_fine_again(&mut self) {
+        for (id, pace) in &mut self.paces {
+            let viewer = self.renderer.viewers.get(id);
+            if viewer.is_some_and(|viewer| viewer.kind == RendererKind::Cached) {
+                pace.change = pace.change.max(Change::Sharper);
+            }
+        }
     }
 
     /// Maps go on to others, when everything has been marched since their last step.

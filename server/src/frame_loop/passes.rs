@@ -294,7 +294,8 @@ impl SkyRenderer {
             && self.is_exact(id, viewer, &mut BTreeMap::new())
     }
 
-    /// Whether a viewer's picture gets no finer while it rests. What it finds out about cells is kept in `pending`.
+    /// Whether a viewer's picture gets no finer while it rests. What it finds out about cells is kept in `pending`. What is given
+    /// up for want of time comes back when all has rested for a while.
     fn is_exact(
         &self,
         id: ViewerId,
@@ -310,9 +311,12 @@ impl SkyRenderer {
         }
         match viewer.kind {
             RendererKind::ScreenSpace => true,
-            RendererKind::Cached => !*pending
-                .entry(viewer.cell)
-                .or_insert_with(|| self.lacks_samples(viewer.cell)),
+            RendererKind::Cached => {
+                !self.losses.rate().coarsens()
+                    && !*pending
+                        .entry(viewer.cell)
+                        .or_insert_with(|| self.lacks_samples(viewer.cell))
+            }
         }
     }
 

@@ -2,6 +2,7 @@
 
 mod crowds;
 mod links;
+mod rest;
 mod stages;
 mod turning;
 

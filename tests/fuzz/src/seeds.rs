@@ -10,7 +10,7 @@ use skycell_protocol::{
 use skycell_server::field::{GreyMap, MapFileFormat};
 use skycell_server::scene::presets;
 
-use super::mutate::Input;
+use crate::mutate::Input;
 
 fn json_inputs(values: Vec<Value>) -> Vec<Input> {
     values.into_iter().map(Input::Json).collect()

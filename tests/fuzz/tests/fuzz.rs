@@ -2,15 +2,11 @@
 //! what its type promises.
 //!
 //! Each target gets 20 000 inputs (`SKYCELL_FUZZ_INPUTS` sets another number, `SKYCELL_FUZZ_SEED` another beginning). An input
-//! that fails is printed and kept in `target/fuzz`.
+//! that fails is printed and kept in `target/fuzz`. Inputs in `tests/fuzz/regressions/TARGET` failed once: each is given first.
 //!
 //! ```text
-//! SKYCELL_FUZZ_INPUTS=1000000 cargo test --release -p skycell-tests --test fuzz -- --nocapture
+//! SKYCELL_FUZZ_INPUTS=1000000 cargo test --release -p skycell-fuzz --test fuzz -- --nocapture
 //! ```
-
-mod mutate;
-mod seeds;
-mod targets;
 
 use std::cell::RefCell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -19,7 +15,7 @@ use std::sync::Once;
 use std::time::Instant;
 
 use fastrand::Rng;
-use mutate::Input;
+use skycell_fuzz::{Target, mutate, tests_of_targets};
 
 /// Inputs of a target where nobody says.
 const INPUTS: u64 = 20_000;
@@ -42,8 +38,14 @@ fn count_panics() {
     });
 }
 
-/// Runs a target with mutations of its seeds; says how many inputs it took.
-fn fuzz(name: &str, seeds: &[Input], target: fn(&[u8]) -> bool) {
+/// Runs a target with what failed once and with mutations of its seeds; says how many inputs it took.
+fn fuzz(target: &Target) {
+    let Target { name, seeds, run } = *target;
+    let seeds = seeds();
+    for (file, bytes) in target.regressions().expect("files") {
+        println!("{name}: {}", file.display());
+        run(&bytes);
+    }
     let number = |variable: &str| {
         std::env::var(variable)
             .ok()
@@ -52,7 +54,7 @@ fn fuzz(name: &str, seeds: &[Input], target: fn(&[u8]) -> bool) {
     let inputs = number("SKYCELL_FUZZ_INPUTS").unwrap_or(INPUTS);
     let mut rng = Rng::with_seed(number("SKYCELL_FUZZ_SEED").unwrap_or(1));
     for (index, seed) in seeds.iter().enumerate() {
-        if !target(&seed.bytes()) {
+        if !run(&seed.bytes()) {
             fail(&format!("{name}: seed {index} is refused"));
         }
     }
@@ -60,8 +62,8 @@ fn fuzz(name: &str, seeds: &[Input], target: fn(&[u8]) -> bool) {
     count_panics();
     let mut taken = 0;
     for count in 0..inputs {
-        let bytes = mutate::mutated(seeds, &mut rng);
-        match catch_unwind(AssertUnwindSafe(|| target(&bytes))) {
+        let bytes = mutate::mutated(&seeds, &mut rng);
+        match catch_unwind(AssertUnwindSafe(|| run(&bytes))) {
             Ok(is_taken) => taken += u64::from(is_taken),
             Err(panic) => {
                 let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("../fuzz");
@@ -98,24 +100,4 @@ fn fail(why: &str) -> ! {
     panic!("{why}");
 }
 
-macro_rules! targets {
-    ($($test:ident: $name:literal, $seeds:expr, $target:expr;)*) => {
-        $(#[test] fn $test() { fuzz($name, &$seeds, $target); })*
-    };
-}
-
-targets! {
-    no_message_of_a_client_panics: "client-messages", seeds::client_messages(), targets::client_message;
-    no_hello_panics: "hello", seeds::hellos(), targets::client_message;
-    no_message_of_a_server_panics: "server-messages", seeds::server_messages(), targets::server_message;
-    no_scene_document_panics: "scenes", seeds::scenes(), targets::scene;
-    no_merge_patch_panics: "merge-patches", seeds::merge_patches(), targets::merge_patch;
-    no_json_patch_panics: "json-patches", seeds::json_patches(), targets::json_patch;
-    no_map_of_a_png_panics: "maps-png", seeds::pngs(), targets::map;
-    no_map_of_an_exr_panics: "maps-exr", seeds::exrs(), targets::map;
-    no_frame_panics: "frames", seeds::frames(), targets::frame;
-    no_picture_of_clouds_panics: "clouds", seeds::clouds(), targets::clouds;
-    no_line_of_a_token_panics: "tokens", seeds::token_lines(), targets::token_line;
-    no_camera_path_panics: "camera-paths", seeds::camera_paths(), targets::camera_path;
-    no_configuration_panics: "configurations", seeds::configurations(), targets::configuration;
-}
+tests_of_targets!(fuzz);

@@ -5,10 +5,10 @@ use fastrand::Rng;
 use serde_json::{Map, Value, json};
 
 /// How long an input may become: four times what the server takes of a client.
-const INPUT_MAX_BYTES: usize = 256 * 1024;
+pub const INPUT_MAX_BYTES: usize = 256 * 1024;
 
 /// An input that is valid.
-pub(crate) enum Input {
+pub enum Input {
     /// JSON.
     Json(Value),
     /// A configuration; as TOML.
@@ -20,31 +20,59 @@ pub(crate) enum Input {
 }
 
 impl Input {
-    pub(crate) fn bytes(&self) -> Vec<u8> {
+    /// What a parser gets.
+    pub fn bytes(&self) -> Vec<u8> {
         match self {
             Self::Json(value) => value.to_string().into_bytes(),
             Self::Toml(value) => toml_of(value).into_bytes(),
             Self::Png(bytes) | Self::Bytes(bytes) => bytes.clone(),
         }
     }
+
+    /// An input of the same kind with these bytes; nothing where they are not of that kind.
+    pub fn of_same_kind(&self, bytes: &[u8]) -> Option<Self> {
+        match self {
+            Self::Json(_) => serde_json::from_slice(bytes).ok().map(Self::Json),
+            Self::Toml(_) => {
+                let text = std::str::from_utf8(bytes).ok()?;
+                let table = toml::from_str::<Map<String, Value>>(text).ok()?;
+                Some(Self::Toml(Value::Object(table)))
+            }
+            Self::Png(_) => png_chunks(bytes).map(|_| Self::Png(bytes.to_vec())),
+            Self::Bytes(_) => Some(Self::Bytes(bytes.to_vec())),
+        }
+    }
 }
 
 /// One to four mutations of one of the seeds.
-pub(crate) fn mutated(seeds: &[Input], rng: &mut Rng) -> Vec<u8> {
+pub fn mutated(seeds: &[Input], rng: &mut Rng) -> Vec<u8> {
     let seed = &seeds[rng.usize(..seeds.len())];
+    let mut bytes = mutated_input(seed, seeds, rng);
+    if rng.u8(..10) == 0 {
+        mutate_bytes(&mut bytes, rng);
+    }
+    bytes.truncate(INPUT_MAX_BYTES);
+    bytes
+}
+
+/// One to four mutations of an input; parts of the seeds may come into it.
+pub fn mutated_input(input: &Input, seeds: &[Input], rng: &mut Rng) -> Vec<u8> {
     let times = rng.usize(1..=4);
-    let mut bytes = match seed {
+    match input {
         Input::Json(value) | Input::Toml(value) => {
             let mut value = value.clone();
             for _ in 0..times {
                 mutate_json(&mut value, seeds, rng);
             }
-            match seed {
+            match input {
                 Input::Toml(_) => toml_of(&value).into_bytes(),
                 _ => value.to_string().into_bytes(),
             }
         }
-        Input::Png(bytes) => mutated_png(bytes, times, rng),
+        Input::Png(bytes) => match png_chunks(bytes) {
+            Some(chunks) => mutated_png(chunks, times, rng),
+            None => bytes.clone(),
+        },
         Input::Bytes(bytes) => {
             let mut bytes = bytes.clone();
             for _ in 0..times {
@@ -52,12 +80,7 @@ pub(crate) fn mutated(seeds: &[Input], rng: &mut Rng) -> Vec<u8> {
             }
             bytes
         }
-    };
-    if rng.u8(..10) == 0 {
-        mutate_bytes(&mut bytes, rng);
     }
-    bytes.truncate(INPUT_MAX_BYTES);
-    bytes
 }
 
 fn mutate_json(value: &mut Value, seeds: &[Input], rng: &mut Rng) {
@@ -207,7 +230,7 @@ fn places_of(value: &Value, at: String, places: &mut Vec<String>) {
     places.push(at);
 }
 
-pub(crate) fn mutate_bytes(bytes: &mut Vec<u8>, rng: &mut Rng) {
+fn mutate_bytes(bytes: &mut Vec<u8>, rng: &mut Rng) {
     if bytes.is_empty() {
         bytes.push(rng.u8(..));
         return;
@@ -231,15 +254,26 @@ pub(crate) fn mutate_bytes(bytes: &mut Vec<u8>, rng: &mut Rng) {
     }
 }
 
-/// Changes what chunks of a PNG hold and makes their checksums right again: with a wrong one, nothing behind it is read.
-fn mutated_png(bytes: &[u8], times: usize, rng: &mut Rng) -> Vec<u8> {
-    let (signature, mut rest) = bytes.split_at(8);
-    let mut chunks: Vec<(Vec<u8>, Vec<u8>)> = Vec::new();
+/// How a PNG begins.
+const PNG_SIGNATURE: &[u8; 8] = b"\x89PNG\r\n\x1a\n";
+
+/// Kind and content of a chunk.
+type PngChunk = (Vec<u8>, Vec<u8>);
+
+/// The chunks of a PNG, at least one; nothing where the lengths are not right.
+fn png_chunks(bytes: &[u8]) -> Option<Vec<PngChunk>> {
+    let mut rest = bytes.strip_prefix(PNG_SIGNATURE)?;
+    let mut chunks = Vec::new();
     while let Some((length, after)) = rest.split_first_chunk::<4>() {
-        let length = u32::from_be_bytes(*length) as usize;
-        chunks.push((after[..4].to_vec(), after[4..4 + length].to_vec()));
-        rest = &after[8 + length..];
+        let end = (u32::from_be_bytes(*length) as usize).checked_add(4)?;
+        chunks.push((after.get(..4)?.to_vec(), after.get(4..end)?.to_vec()));
+        rest = after.get(end + 4..)?;
     }
+    (!chunks.is_empty()).then_some(chunks)
+}
+
+/// Changes what chunks of a PNG hold and makes their checksums right again: with a wrong one, nothing behind it is read.
+fn mutated_png(mut chunks: Vec<PngChunk>, times: usize, rng: &mut Rng) -> Vec<u8> {
     for _ in 0..times {
         let at = rng.usize(..chunks.len());
         match rng.u8(..8) {
@@ -254,7 +288,7 @@ fn mutated_png(bytes: &[u8], times: usize, rng: &mut Rng) -> Vec<u8> {
             _ => mutate_bytes(&mut chunks[at].1, rng),
         }
     }
-    let mut png = signature.to_vec();
+    let mut png = PNG_SIGNATURE.to_vec();
     for (mut kind, data) in chunks {
         kind.resize(4, b'x');
         png.extend_from_slice(&(data.len() as u32).to_be_bytes());
