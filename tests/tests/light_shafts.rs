@@ -1,8 +1,10 @@
 //! The shadow of clouds in the air, against f64 integrals and closed forms.
 
+use anyhow::ensure;
 use glam::DVec3;
+use image::RgbImage;
 use serde_json::{Value, json};
-use skycell_protocol::{FrameSize, Scene};
+use skycell_protocol::{Camera, FrameSize, RendererKind, Scene};
 use skycell_reference::air::{Air, Toward};
 use skycell_reference::march::{shaded_background, sunlit_share};
 use skycell_reference::{Approximations, Ray, World};
@@ -12,7 +14,9 @@ use skycell_server::frame_loop::{RayPicture, StillRay, StillRenderer, StillSetti
 use skycell_server::march::MarchSettings;
 use skycell_server::truth::reference_world;
 use skycell_shaders::SourceEdit;
+use skycell_tests::accuracy::distance;
 use skycell_tests::numbers::Random;
+use skycell_tests::picture::without_alpha;
 use skycell_tests::server::target_dir;
 use std::f64::consts::PI;
 use std::path::Path;
@@ -530,4 +534,42 @@ fn planted_defects_are_found() {
         "{}",
         percentile(&errors, 0.95)
     );
+}
+
+/// A viewer beside the reference, in and above clouds: the composite that searches along its ray, goes down or is in a layer, and has
+/// shafts. Mesa 22's software driver crashed over a branch of it.
+#[test]
+fn beside_the_reference_in_and_above_clouds_the_cache_shows_what_rays_do() -> anyhow::Result<()> {
+    let scene = scene(
+        &json!({"version": 1, "wind": {"speed_m_per_s": 0}, "layers": [{"name": "low",
+            "base_altitude_m": 1500, "top_altitude_m": 2100,
+            "density": {"model": "weather", "coverage": 0.5, "type": 0.5}}],
+            "atmosphere": {"model": "physical", "aerosol_optical_depth": 0.3, "light_shafts": true}}),
+    );
+    let mut still = still(&scene);
+    let size = FrameSize::new(64, 36)?;
+    for (altitude_m, pitch_deg) in [(1_800.0, 5.0), (3_000.0, -20.0), (9_000.0, -30.0)] {
+        let camera = Camera::new([200.0, altitude_m, -300.0], 40.0, pitch_deg, 60.0)?;
+        let mut picture = |renderer| -> anyhow::Result<RgbImage> {
+            let settings = StillSettings {
+                renderer,
+                samples: 4,
+                march: MarchSettings {
+                    steps: 32,
+                    ..MarchSettings::default()
+                },
+                reference_offset_m: [100.0, 0.0, 0.0],
+                parallax_steps: 8,
+                ..StillSettings::default()
+            };
+            let made = still.render_with(camera, size, &settings, |_| {})?;
+            without_alpha(&made.display, size)
+        };
+        let cached = picture(RendererKind::Cached)?;
+        let rays = picture(RendererKind::ScreenSpace)?;
+        let flip = distance(&rays, &cached)?.flip;
+        println!("{altitude_m} m: FLIP {flip:.4}");
+        ensure!(flip < 0.06, "{altitude_m} m: {flip}");
+    }
+    Ok(())
 }

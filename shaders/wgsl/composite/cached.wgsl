@@ -300,26 +300,30 @@ fn way_through(planet_radius_m: f32, eye: View, proxy: Proxy, starts: vec3f, dir
 #endif
 }
 
-/// A place of a viewer's way.
+/// A place of a viewer's way. No branches here and below: where the air has light shafts, the software driver of Mesa 22 crashes over
+/// one that is about uniforms.
 fn point_at_place(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f, place: f32) -> vec3f {
-#ifdef INSIDE
-    if is_around(proxy) { return eye.position + direction * (-1e3 / min(place, -1e-4)); }
-#endif
+    var point = point_at_altitude(planet_radius_m, eye, direction, place);
 #ifdef ABOVE
-    if proxy.from_above > 0u { return eye.position + direction * place; }
+    point = select(point, eye.position + direction * place, proxy.from_above > 0u);
 #endif
-    return point_at_altitude(planet_radius_m, eye, direction, place);
+#ifdef INSIDE
+    point = select(point, eye.position + direction * (-1e3 / min(place, -1e-4)), is_around(proxy));
+#endif
+    return point;
 }
 
 /// The place of a point beside a viewer's ray.
 fn place_beside(planet_radius_m: f32, eye: View, proxy: Proxy, direction: vec3f, point: vec3f) -> f32 {
-#ifdef INSIDE
-    if is_around(proxy) { return place_at_m(dot(point - eye.position, direction)); }
-#endif
+    var place = altitude_m(planet_radius_m, point);
 #ifdef ABOVE
-    if proxy.from_above > 0u { return dot(point - eye.position, direction); }
+    let along_m = dot(point - eye.position, direction);
+    place = select(place, along_m, proxy.from_above > 0u);
 #endif
-    return altitude_m(planet_radius_m, point);
+#ifdef INSIDE
+    place = select(place, place_at_m(along_m), is_around(proxy));
+#endif
+    return place;
 }
 
 /// Finds the place of what a viewer sees: goes along its ray, from the near side of what the proxy keeps to its far one, until it is
@@ -399,7 +403,8 @@ fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hi
     let proxy = kept.proxy;
     let table = kept.table;
 #ifdef ABOVE
-    let is_clear = hidden || passes_over(planet_radius_m, eye, proxy, direction);
+    // Both are looked at, as `||` would branch.
+    let is_clear = hidden | passes_over(planet_radius_m, eye, proxy, direction);
 #else
     let is_clear = hidden;
 #endif
