@@ -5,6 +5,8 @@
  * are, by the graphics card. Browsers would show such a video with colours several times too strong.
  */
 
+import { linkedProgram } from "./gl-program.js";
+
 /** @typedef {import("./frame-header.js").FrameHeader} FrameHeader */
 /** @typedef {NonNullable<FrameHeader["colours"]>} Colours */
 
@@ -66,20 +68,7 @@ export function canSpreadColours() {
  * @param {WebGL2RenderingContext} gl
  */
 function link(gl) {
-  const program = gl.createProgram();
-  for (const [kind, text] of /** @type {const} */ ([
-    [gl.VERTEX_SHADER, VERTEX],
-    [gl.FRAGMENT_SHADER, FRAGMENT],
-  ])) {
-    const shader = gl.createShader(kind);
-    if (!shader) throw new Error("no shader");
-    gl.shaderSource(shader, text);
-    gl.compileShader(shader);
-    gl.attachShader(program, shader);
-  }
-  gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program) ?? "no program");
-  gl.useProgram(program);
+  const program = linkedProgram(gl, VERTEX, FRAGMENT);
   const at = (/** @type {string} */ name) => gl.getUniformLocation(program, name);
   ["luma", "blue", "red"].forEach((name, unit) => {
     gl.activeTexture(gl.TEXTURE0 + unit);

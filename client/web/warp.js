@@ -7,6 +7,8 @@
  * Takes whatever a browser can draw (an ImageBitmap, a VideoFrame, a canvas). Without WebGL2 it draws as it is, unturned.
  */
 
+import { linkedProgram } from "./gl-program.js";
+
 /** @typedef {import("./look.js").Camera} Camera */
 /** @typedef {{ width: number, height: number }} Size */
 /** @typedef {ImageBitmap | VideoFrame | HTMLCanvasElement | HTMLImageElement | HTMLVideoElement | OffscreenCanvas} Picture */
@@ -150,20 +152,7 @@ const AS_IT_IS = { picture_from_shown: [1, 0, 0, 0, 1, 0, 0, 0, 1], shown_tan: [
  * @returns {(warp: Warp) => void}
  */
 function program(gl) {
-  const linked = gl.createProgram();
-  for (const [kind, text] of /** @type {const} */ ([
-    [gl.VERTEX_SHADER, VERTEX],
-    [gl.FRAGMENT_SHADER, FRAGMENT],
-  ])) {
-    const shader = gl.createShader(kind);
-    if (!shader) throw new Error("no shader");
-    gl.shaderSource(shader, text);
-    gl.compileShader(shader);
-    gl.attachShader(linked, shader);
-  }
-  gl.linkProgram(linked);
-  if (!gl.getProgramParameter(linked, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(linked) ?? "no program");
-  gl.useProgram(linked);
+  const linked = linkedProgram(gl, VERTEX, FRAGMENT);
   gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
   for (const [name, value] of [
     [gl.TEXTURE_MIN_FILTER, gl.LINEAR],
