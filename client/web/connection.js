@@ -45,7 +45,8 @@ import { RecentTimes, stagesOf } from "./latency.js";
 /**
  * @typedef {object} Token
  * @property {() => string | null} current  sent with every hello
- * @property {() => Promise<boolean>} refused  the server does not take it: whether there is another one to try
+ * @property {(sent: string | null) => Promise<boolean>} refused  the server does not take what was sent: whether there is
+ *   another one to try
  */
 
 /**
@@ -185,18 +186,13 @@ export function connect(url, options) {
   return new Connection(url, options);
 }
 
-/** @param {Token | undefined} token */
-function tokenMember(token) {
-  const current = token?.current() ?? null;
-  return current === null ? {} : { token: current };
-}
-
 /** Made by {@link connect}. */
 export class Connection {
   /** @type {WebSocket | null} */ #socket = null;
   /** @type {View} */ #view;
   /** @type {Camera} */ #camera;
   /** @type {Token | undefined} */ #token;
+  /** @type {string | null} */ #token_sent = null;
   /** What the server last heard, as JSON. */ #camera_sent = "";
   #flush_scheduled = false;
   #last_input = 0;
@@ -322,6 +318,8 @@ export class Connection {
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
     socket.onopen = () => {
+      const token = this.#token?.current() ?? null;
+      this.#token_sent = token;
       this.#camera_sent = JSON.stringify(this.#camera);
       this.#cameras = new Map([[0, this.#camera]]);
       this.#send({
@@ -330,7 +328,7 @@ export class Connection {
         ...this.#view,
         camera: this.#camera,
         ...(this.renderer && { renderer: this.renderer }),
-        ...tokenMember(this.#token),
+        ...(token !== null && { token }),
       });
     };
     socket.onmessage = (event) => {
@@ -514,7 +512,7 @@ export class Connection {
     this.#status.problem = ""; // it is asked for, so nothing is wrong yet
     this.#change("waiting", "Waiting for a token");
     void (async () => {
-      const has_another = await this.#token?.refused();
+      const has_another = await this.#token?.refused(this.#token_sent);
       if (this.#status.state !== "waiting" || this.#socket) return;
       if (has_another) this.#open();
       else this.#end(`Not let in: ${why}`);

@@ -112,6 +112,18 @@ function ask(why) {
 }
 
 /**
+ * A token other than the one that was refused; asked for only where none is known. A refusal may come late: another
+ * request may have been told a token since, and that one must not be thrown away.
+ * @param {string | null} refused  what was sent; null if nothing was
+ * @returns {Promise<string | null>}
+ */
+export async function otherToken(refused) {
+  const known = storedToken();
+  if (known !== null && known !== refused) return known;
+  return askForToken(refused === null ? FIRST : AGAIN);
+}
+
+/**
  * Lets every request of this page to its own server carry the token, and asks for it where the server refuses.
  * @param {{ fetch: typeof fetch }} [scope]
  */
@@ -122,9 +134,7 @@ export function sendTokens(scope = globalThis) {
     let sent = storedToken();
     let answer = await plainFetch(target, sent === null ? init : withToken(init, sent));
     while (answer.status === 401) {
-      // Another request may have been told the token meanwhile.
-      const known = storedToken();
-      const token = known !== null && known !== sent ? known : await askForToken(sent === null ? FIRST : AGAIN);
+      const token = await otherToken(sent);
       if (token === null) return answer;
       sent = token;
       answer = await plainFetch(target, withToken(init, token));
@@ -148,8 +158,8 @@ const AGAIN = "The server does not know the token that was entered. Try another 
  */
 export const connectionToken = Object.freeze({
   current: storedToken,
-  /** @returns {Promise<boolean>} */
-  refused: async () => (await askForToken(storedToken() === null ? FIRST : AGAIN)) !== null,
+  /** @param {string | null} sent */
+  refused: async (sent) => (await otherToken(sent)) !== null,
 });
 
 /**

@@ -260,6 +260,17 @@ fn hear(message: Value, shared: &Shared) {
     }
 }
 
+fn is_of_a_page_that_went(error: &anyhow::Error) -> bool {
+    let text = error.to_string();
+    let told = [
+        "navigated or closed",
+        "context was destroyed",
+        "Cannot find default execution context",
+        "Cannot find context with specified id",
+    ];
+    told.iter().any(|part| text.contains(part))
+}
+
 impl Tab<'_> {
     async fn command(&self, method: &str, params: Value) -> anyhow::Result<Value> {
         self.browser
@@ -284,13 +295,26 @@ impl Tab<'_> {
         Ok(answer["result"]["value"].clone())
     }
 
+    /// Loads the page again, and waits until the one before is gone.
+    ///
+    /// # Errors
+    /// When the browser does not.
+    pub async fn reload(&self) -> anyhow::Result<()> {
+        self.evaluate("window.isOfBefore = true").await?;
+        self.command("Page.reload", json!({})).await?;
+        self.wait_for("window.isOfBefore !== true").await
+    }
+
     /// Waits until a JavaScript expression is true; tells the page's status when it never is.
     ///
     /// # Errors
     /// When it throws or takes too long.
     pub async fn wait_for(&self, condition: &str) -> anyhow::Result<()> {
-        let met = until(condition, async || {
-            Ok((self.evaluate(condition).await? == true).then_some(()))
+        let met = until(condition, async || match self.evaluate(condition).await {
+            Ok(value) => Ok((value == true).then_some(())),
+            // A page that goes takes with it what was asked of it; the one that comes is asked next.
+            Err(error) if is_of_a_page_that_went(&error) => Ok(None),
+            Err(error) => Err(error),
         })
         .await;
         if met.is_err() {

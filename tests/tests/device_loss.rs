@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, ensure};
 use serde_json::{Value, json};
 use skycell_client::{Connection, ConnectionLimits, Event, Frame};
-use skycell_protocol::message::{Acknowledgement, Hello, Status};
+use skycell_protocol::message::{Acknowledgement, Hello, Status, ViewChange};
 use skycell_protocol::{FrameSize, InputSequence};
 use skycell_server::config::Config;
 use skycell_server::frame_loop::FrameLoop;
@@ -74,8 +74,11 @@ async fn figure(address: SocketAddr, name: &str) -> anyhow::Result<f64> {
     Ok(value.with_context(|| format!("no {name}"))?.parse()?)
 }
 
-fn lose(handle: &FrameLoopHandle) -> anyhow::Result<()> {
-    Ok(handle.send(RenderCommand::LoseDevice)?)
+/// For how long, at least, there is no device in a test that says something meanwhile.
+const OUTAGE: Duration = Duration::from_secs(4);
+
+fn lose(handle: &FrameLoopHandle, closed_for: Duration) -> anyhow::Result<()> {
+    Ok(handle.send(RenderCommand::LoseDevice { closed_for })?)
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -106,7 +109,12 @@ async fn viewers_stay_when_the_device_is_lost_and_see_frames_again() -> Outcome 
     let look = |yaw_deg| camera([0.0, 2.0, 0.0], yaw_deg, 20.0);
     let hello = Hello::new(FrameSize::new(160, 90)?, 30.0, look(0.0)?);
     let server_address = format!("http://{address}").parse()?;
-    let mut viewer = Connection::open(&server_address, hello, ConnectionLimits::default()).await?;
+    let join = || Connection::open(&server_address, hello.clone(), ConnectionLimits::default());
+    let mut viewer = join().await?;
+    let (mut who_resizes, mut who_leaves) = (join().await?, join().await?);
+    for other in [&mut who_resizes, &mut who_leaves] {
+        hear_until(other, "a frame", |event| frame_of(event).map(|_| ())).await?;
+    }
     let before = hear_until(&mut viewer, "a finished frame", |event| {
         frame_of(event).filter(|frame| frame.header.exact).cloned()
     })
@@ -114,16 +122,29 @@ async fn viewers_stay_when_the_device_is_lost_and_see_frames_again() -> Outcome 
     let composited = figure(address, "skycell_frames_composited_total").await?;
     ensure!(get(address, "/readyz").await?.0 == 200);
 
-    lose(&handle)?;
-    // It looks elsewhere while there is no device: that is not forgotten.
-    let input = viewer.send_camera(look(30.0)?).await?;
+    lose(&handle, OUTAGE)?;
     let note = hear_until(&mut viewer, "a note", |event| {
         status_of(event).and_then(|status| status.renderer_note.clone())
     })
     .await?;
     println!("the viewer is told: {note}");
     ensure!(note.contains("device was lost"), "{note}");
-    ensure!(get(address, "/readyz").await?.0 == 503);
+    // One looks elsewhere while there is no device, one wants other frames, one leaves and one comes: nothing of it is
+    // forgotten.
+    let input = viewer.send_camera(look(30.0)?).await?;
+    let smaller = ViewChange {
+        width: Some(96),
+        height: Some(54),
+        ..ViewChange::default()
+    };
+    who_resizes.change_view(smaller).await?;
+    let left = who_leaves.welcome().viewer;
+    who_leaves.close().await;
+    let mut who_comes = join().await?;
+    ensure!(
+        get(address, "/readyz").await?.0 == 503,
+        "all of it was said too late"
+    );
 
     let after = hear_until(&mut viewer, "a sharp frame of the new view", |event| {
         frame_of(event)
@@ -142,6 +163,27 @@ async fn viewers_stay_when_the_device_is_lost_and_see_frames_again() -> Outcome 
     .await?;
     ensure!(get(address, "/readyz").await?.0 == 200);
     ensure!(figure(address, "skycell_device_losses_total").await? == 1.0);
+    hear_until(&mut who_resizes, "a frame of the new size", |event| {
+        frame_of(event)
+            .filter(|frame| frame.header.width == 96 && !frame.header.coarse)
+            .map(|_| ())
+    })
+    .await?;
+    hear_until(&mut who_comes, "a sharp frame for who came", |event| {
+        frame_of(event)
+            .filter(|frame| !frame.header.coarse)
+            .map(|_| ())
+    })
+    .await?;
+    let expected = [&viewer, &who_resizes, &who_comes].map(|viewer| viewer.welcome().viewer);
+    let known: Vec<_> = handle
+        .stats()
+        .viewers
+        .iter()
+        .map(|viewer| viewer.id)
+        .collect();
+    ensure!(known == expected, "{known:?} are known; {left} left");
+    tokio::join!(who_resizes.close(), who_comes.close());
     // Sums go on.
     ensure!(figure(address, "skycell_frames_composited_total").await? > composited);
 
@@ -158,8 +200,8 @@ async fn viewers_stay_when_the_device_is_lost_and_see_frames_again() -> Outcome 
     println!("before and after the loss: {difference:.3} of 255; the other view: {turned:.3}");
     ensure!(difference < 0.5 && turned > 2.0, "{difference}, {turned}");
 
-    // A second loss, and a change of the scene meanwhile.
-    lose(&handle)?;
+    // A second loss that is over soon, and a change of the scene meanwhile.
+    lose(&handle, Duration::ZERO)?;
     let http = reqwest::Client::builder().no_proxy().build()?;
     let patched = http
         .patch(format!("http://{address}/api/v1/scene"))
@@ -169,11 +211,19 @@ async fn viewers_stay_when_the_device_is_lost_and_see_frames_again() -> Outcome 
         .send()
         .await?;
     ensure!(patched.status() == 200);
-    hear_until(&mut viewer, "a frame of the changed scene", |event| {
-        frame_of(event)
-            .filter(|frame| frame.header.scene_revision == revision + 1)
-            .cloned()
-    })
+    // However short it was, it is told.
+    let (mut is_told, mut is_seen) = (false, false);
+    hear_until(
+        &mut viewer,
+        "a note and a frame of the changed scene",
+        |event| {
+            let note = status_of(event).and_then(|status| status.renderer_note.as_ref());
+            is_told |= note.is_some_and(|note| note.contains("device was lost"));
+            is_seen |=
+                frame_of(event).is_some_and(|frame| frame.header.scene_revision == revision + 1);
+            (is_told && is_seen).then_some(())
+        },
+    )
     .await?;
     let (_, stats) = get(address, "/api/v1/stats").await?;
     let stats: Value = serde_json::from_str(&stats)?;

@@ -343,8 +343,7 @@ async fn the_page_asks_for_the_token_and_goes_on_with_it() -> anyhow::Result<()>
     let address = tab.evaluate("location.href").await?;
     ensure!(!address.to_string().contains(guarded.text(Role::View)));
     // It outlives a reload of the tab.
-    tab.evaluate("(() => { location.reload(); return true; })()")
-        .await?;
+    tab.reload().await?;
     tab.wait_for("window.skycell?.status.state === 'open' && window.skycell.counts.drawn > 0")
         .await?;
     Ok(())

@@ -57,14 +57,16 @@ test("hello comes first and says everything", (t) => {
 test("a token that is refused is asked for, and the next hello has the new one", async (t) => {
   globalThis.WebSocket = FakeWebSocket;
   let known = null;
+  const refused = [];
   const connection = connect("ws://sky.test/ws", {
     view: { width: 640, height: 360, fps: 30 }, camera,
-    token: { current: () => known, refused: async () => ((known = "sky_new"), true) },
+    token: { current: () => known, refused: async (sent) => (refused.push(sent), (known = "sky_new"), true) },
   });
   t.after(() => connection.close());
   const first = FakeWebSocket.made.at(-1);
   first.open();
   assert.equal("token" in first.sent[0], false);
+  known = "sky_from-elsewhere"; // what was sent counts, not what is known when the refusal comes
   first.say({ type: "error", code: "unauthorized", message: "this server needs a token" });
   first.onclose({ code: 4401, reason: "unauthorized" });
   await afterAnimationFrame();
@@ -72,6 +74,7 @@ test("a token that is refused is asked for, and the next hello has the new one",
   assert.notEqual(second, first);
   second.open();
   assert.equal(second.sent[0].token, "sky_new");
+  assert.deepEqual(refused, [null]);
   second.say(welcome);
   assert.equal(connection.status.state, "open");
 });

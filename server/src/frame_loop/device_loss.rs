@@ -191,10 +191,12 @@ fn reopen(
     tries: &mut usize,
 ) -> Result<FrameLoop, End> {
     tracing::error!(reason, "the graphics device was lost; it is opened again");
+    let mut closed_for = frame_loop.closed_for;
     let (mut remains, mut old) = Remains::of(frame_loop, reason);
     while let Some(wait) = OPENING_WAITS.get(*tries) {
         *tries += 1;
-        let opening = remains.start_opening(old.take(), *wait);
+        let wait = (*wait).max(std::mem::take(&mut closed_for));
+        let opening = remains.start_opening(old.take(), wait);
         while !opening.is_finished() {
             remains.hear(commands)?;
         }
@@ -317,7 +319,7 @@ impl Remains {
             // Frames under way are gone; a device that is not there cannot be lost; the end was heard before.
             RenderCommand::Acknowledge { .. }
             | RenderCommand::Refine { .. }
-            | RenderCommand::LoseDevice
+            | RenderCommand::LoseDevice { .. }
             | RenderCommand::Shutdown => {}
         }
     }

@@ -9,7 +9,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, SyncSender, TrySendError};
 use std::sync::{Arc, PoisonError, RwLock};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::audit::AuditStats;
 use crate::composite::PictureFormat;
@@ -23,6 +23,7 @@ use skycell_protocol::{
     RendererKind, Scene, Show, Stereo, ViewerId,
 };
 use thiserror::Error;
+use tokio::sync::watch;
 
 /// How many frames of a viewer may be composited and not yet acknowledged. An acknowledgement is
 /// cumulative, so a frame that was overwritten in the slot and never sent is covered by that of a
@@ -153,7 +154,10 @@ pub enum RenderCommand {
     },
     /// Lose the device, as a driver that fails does; for tests.
     #[doc(hidden)]
-    LoseDevice,
+    LoseDevice {
+        /// How long no other one opens.
+        closed_for: Duration,
+    },
     /// End the frame loop; nothing follows.
     Shutdown,
 }
@@ -278,13 +282,28 @@ impl FrameLoopHandle {
     pub fn is_ready(&self) -> bool {
         self.stats.is_ready()
     }
+
+    /// Whether there is a device; changes are told at once. Before it tells of one, [`Self::stats`] says so, too.
+    pub fn device_state(&self) -> watch::Receiver<DeviceState> {
+        self.stats.device_state.subscribe()
+    }
 }
 
 /// Where the frame loop leaves its figures for everyone to read.
 #[derive(Default)]
 pub struct StatsCell {
     latest: RwLock<Arc<RenderStats>>,
+    device_state: watch::Sender<DeviceState>,
     ready: AtomicBool,
+}
+
+/// Whether there is a device to render with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DeviceState {
+    /// How often it was lost since the start.
+    pub losses: u64,
+    /// It is lost now.
+    pub is_lost: bool,
 }
 
 impl StatsCell {
@@ -295,8 +314,14 @@ impl StatsCell {
 
     /// Replaces the figures.
     pub fn publish(&self, stats: RenderStats) {
+        let device_state = stats.device_loss.state();
         // A poisoned lock holds whole figures all the same: replacing an Arc cannot be cut short.
         *self.latest.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(stats);
+        self.device_state.send_if_modified(|state| {
+            let is_new = *state != device_state;
+            *state = device_state;
+            is_new
+        });
     }
 
     /// The figures that were published last.
@@ -371,6 +396,15 @@ pub struct DeviceLossStats {
     pub is_lost: bool,
     /// Why it was lost last.
     pub reason: Option<String>,
+}
+
+impl DeviceLossStats {
+    fn state(&self) -> DeviceState {
+        DeviceState {
+            losses: self.losses,
+            is_lost: self.is_lost,
+        }
+    }
 }
 
 /// The sky's clock, and what it costs.

@@ -85,6 +85,8 @@ pub struct FrameLoop {
     paces: BTreeMap<ViewerId, Pace>,
     pub(super) started: Instant,
     pub(super) device_loss: DeviceLossStats,
+    /// After the device is lost, how long no other one opens; for tests.
+    pub(super) closed_for: Duration,
     time: Instant,
     stats_due: Instant,
     ns_per_tile: f64,
@@ -187,6 +189,7 @@ impl FrameLoop {
             blended: now,
             march_credit_s: 0.0,
             device_loss: DeviceLossStats::default(),
+            closed_for: Duration::ZERO,
             renderer,
         }
     }
@@ -260,7 +263,8 @@ impl FrameLoop {
                 (self.plan.document, self.plan.revision) = (scene.clone(), revision);
                 self.renderer.await_scene(scene, revision);
             }
-            RenderCommand::LoseDevice => {
+            RenderCommand::LoseDevice { closed_for } => {
+                self.closed_for = closed_for;
                 self.renderer.gpu.device.destroy();
                 // As wgpu's callback does when a driver fails.
                 self.renderer.gpu.give_up("told to lose it".to_owned());

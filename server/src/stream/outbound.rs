@@ -26,6 +26,8 @@ const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
 const STATUS_INTERVAL: Duration = Duration::from_secs(1);
 /// After this long without a newer frame, one that was less good than wished is sent again as wished.
 const REFINE_INTERVAL: Duration = Duration::from_millis(300);
+/// What a viewer is told of a loss of the device that is over.
+const LOST_AND_OPEN_AGAIN: &str = "the graphics device was lost and is open again";
 /// How many pings a viewer may miss before it counts as stalled.
 const PINGS_PER_STALL: u32 = 3;
 
@@ -57,6 +59,7 @@ pub(super) async fn write(
         last_binary_at: Instant::now(),
         refine_at: None,
         rates_from: Instant::now(),
+        losses_told: 0,
     };
     if let Err(end) = outbound.say(welcome).await {
         return end;
@@ -69,6 +72,8 @@ pub(super) async fn write(
     let mut status = interval_at(start + STATUS_INTERVAL, STATUS_INTERVAL);
     // After a stall, one status says it all.
     status.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut device_state = context.frame_loop.device_state();
+    outbound.losses_told = device_state.borrow_and_update().losses;
     let ping_interval = context.stall / PINGS_PER_STALL;
     let mut ping = interval_at(start + ping_interval, ping_interval);
     ping.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -81,7 +86,9 @@ pub(super) async fn write(
                 outbound.frame(frame).await
             }
             Some(answer) = answers.recv() => outbound.say(&answer).await,
-            _ = status.tick() => outbound.status().await,
+            _ = status.tick() => outbound.status(RatesOf::Now).await,
+            // Not a second later: it may be over by then.
+            Ok(()) = device_state.changed() => outbound.status(RatesOf::LastTime).await,
             () = tokio::time::sleep_until(heartbeat_at) => outbound.heartbeat().await,
             () = tokio::time::sleep_until(refine_at.unwrap_or(heartbeat_at)), if refine_at.is_some() => outbound.refine(),
             _ = ping.tick() => outbound.ping().await,
@@ -102,6 +109,17 @@ struct Outbound<'a> {
     /// When the last frame is to come again, as good as wished.
     refine_at: Option<Instant>,
     rates_from: Instant,
+    /// How many losses of the device the viewer knows of.
+    losses_told: u64,
+}
+
+/// Which rates a status tells.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum RatesOf {
+    /// Those since they were told last.
+    Now,
+    /// The same as last time.
+    LastTime,
 }
 
 impl Outbound<'_> {
@@ -174,17 +192,24 @@ impl Outbound<'_> {
         Ok(())
     }
 
-    async fn status(&mut self) -> Result<(), End> {
+    async fn status(&mut self, rates: RatesOf) -> Result<(), End> {
         let now = Instant::now();
         let (fps, mbit_per_s) = {
             let mut figures = self.viewer.figures();
-            figures.take_rates((now - self.rates_from).as_secs_f64());
+            if rates == RatesOf::Now {
+                figures.take_rates((now - self.rates_from).as_secs_f64());
+                self.rates_from = now;
+            }
             (figures.fps, figures.mbit_per_s)
         };
-        self.rates_from = now;
         let stats = self.context.frame_loop.stats();
         let scene_revision = self.context.scene.snapshot().revision;
-        let status = status_of(self.viewer, &stats, scene_revision, fps, mbit_per_s);
+        let mut status = status_of(self.viewer, &stats, scene_revision, fps, mbit_per_s);
+        // It was over before it could be told.
+        if !stats.device_loss.is_lost && stats.device_loss.losses > self.losses_told {
+            status.renderer_note = Some(LOST_AND_OPEN_AGAIN.to_owned());
+        }
+        self.losses_told = stats.device_loss.losses;
         self.say(&ServerMessage::Status(status)).await
     }
 

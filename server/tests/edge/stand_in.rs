@@ -173,7 +173,7 @@ impl State {
                     state.is_changed = true;
                 }
             }
-            RenderCommand::LoseDevice | RenderCommand::Shutdown => {}
+            RenderCommand::LoseDevice { .. } | RenderCommand::Shutdown => {}
         }
     }
 
