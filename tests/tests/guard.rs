@@ -263,6 +263,27 @@ async fn the_command_line_client_speaks_tls_with_a_token_and_tokens_are_read_aga
     })
     .await?;
     ensure!(old.scene().await.is_err(), "the old token is still known");
+    // So is a new certificate: who trusts it alone is connected, who trusts the old one alone is not.
+    let old_file = guarded.folder.path().join("old.pem");
+    std::fs::copy(&certificate, &old_file)?;
+    let made = rcgen::generate_simple_self_signed(vec!["127.0.0.1".to_owned()])?;
+    std::fs::write(&certificate, made.cert.pem())?;
+    write_secret(&key, &made.signing_key.serialize_pem())?;
+    let trusting = |file: &Path| -> anyhow::Result<HttpApi> {
+        let access = Access::default()
+            .with_token_text(guarded.text(Role::Steer), "the test")?
+            .with_ca_file(file)?;
+        Ok(HttpApi::new(
+            server.url("").parse::<ServerAddress>()?.with_access(access),
+        )?)
+    };
+    ensure!(trusting(&certificate)?.scene().await.is_err(), "it is known too early");
+    server.hang_up()?;
+    until("the new certificate is shown", async || {
+        Ok(trusting(&certificate)?.scene().await.is_ok().then_some(()))
+    })
+    .await?;
+    ensure!(trusting(&old_file)?.scene().await.is_err(), "the old certificate is still shown");
     Ok(())
 }
 

@@ -438,6 +438,64 @@ fn a_scene_file_changed_by_hand_is_a_new_revision_and_one_moved_away_comes_back(
     assert!(path.exists());
 }
 
+#[test]
+fn wherever_the_last_line_of_the_journal_is_cut_what_comes_after_it_is_kept() {
+    let folder = folder();
+    let store = open(&folder);
+    exposure(&store, 1.0);
+    exposure(&store, 2.0);
+    drop(store);
+    let journal = folder.path().join("revisions.log");
+    let whole = fs::read(&journal).expect("a journal");
+    let scene = fs::read(folder.path().join("scene.json")).expect("a scene");
+    let last_line = whole.len() - whole.split_inclusive(|byte| *byte == b'\n').next_back().map_or(0, <[u8]>::len);
+    assert!(last_line > 0);
+    // From the whole line without its end of line to nothing of it.
+    for length in [whole.len() - 1, whole.len() - 2, last_line + 20, last_line + 16, last_line + 1, last_line] {
+        fs::write(&journal, &whole[..length]).expect("cut");
+        fs::write(folder.path().join("scene.json"), &scene).expect("written");
+        let store = open(&folder);
+        assert_eq!(store.snapshot().scene.exposure_ev(), 2.0, "{length}");
+        let after = exposure(&store, 3.0);
+        let kept = numbers(&store);
+        drop(store);
+        let store = open(&folder);
+        assert_eq!(store.snapshot(), after, "{length}");
+        assert_eq!(numbers(&store), kept, "{length}");
+    }
+}
+
+#[test]
+fn a_change_is_in_the_files_before_anybody_is_told_of_it() {
+    let folder = folder();
+    let store = open(&folder);
+    let mut changes = store.subscribe();
+    let path = folder.path().to_owned();
+    let last = 21;
+    // Looks all the time, so that it reads the files in the moment in which it is told.
+    let watching = std::thread::spawn(move || {
+        let mut seen = 1;
+        while seen < last {
+            if !changes.has_changed().expect("the store lives") {
+                std::hint::spin_loop();
+                continue;
+            }
+            let journal = fs::read_to_string(path.join("revisions.log")).expect("a journal");
+            let scene = fs::read_to_string(path.join("scene.json")).expect("a scene");
+            seen = changes.borrow_and_update().revision;
+            let is_kept = [',', '}'].map(|next| journal.contains(&format!("\"revision\":{seen}{next}")));
+            assert!(is_kept.contains(&true), "{seen}: {journal}");
+            let scene: serde_json::Value = serde_json::from_str(&scene).expect("JSON");
+            assert!(scene["revision"].as_u64() >= Some(seen), "{seen}: {scene}");
+        }
+        seen
+    });
+    for number in 1..last {
+        exposure(&store, 0.1 * number as f64);
+    }
+    assert_eq!(watching.join().expect("what is told is kept"), last);
+}
+
 #[cfg(unix)]
 #[test]
 fn a_revision_whose_scene_cannot_be_written_is_taken_back_from_the_journal() {

@@ -16,6 +16,8 @@ use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
 
 /// Longer than anything that the service may take.
 const PATIENCE: Duration = Duration::from_secs(10);
+/// A session that is to end has ended by then.
+const END_PATIENCE: Duration = Duration::from_secs(60);
 
 pub(crate) struct Client {
     pub(crate) socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
@@ -162,7 +164,16 @@ impl Client {
     }
 
     /// Hears on until the service closes; its code and the code of the last error before.
+    ///
+    /// # Panics
+    /// If there is none: whoever should be refused and is not would hear for ever.
     pub(crate) async fn end(&mut self) -> (u16, Option<String>) {
+        timeout(END_PATIENCE, self.hear_end())
+            .await
+            .expect("the session goes on")
+    }
+
+    async fn hear_end(&mut self) -> (u16, Option<String>) {
         let mut last_error = None;
         loop {
             match self.hear().await {

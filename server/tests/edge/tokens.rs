@@ -187,7 +187,10 @@ pub(crate) async fn by_hand(world: &World, request: &str) -> String {
         .expect("connects");
     socket.write_all(request.as_bytes()).await.expect("sent");
     let mut answer = Vec::new();
-    let _ = socket.read_to_end(&mut answer).await;
+    let reading = socket.read_to_end(&mut answer);
+    let _ = tokio::time::timeout(std::time::Duration::from_secs(60), reading)
+        .await
+        .expect("the connection stays open");
     String::from_utf8_lossy(&answer).into_owned()
 }
 

@@ -56,13 +56,14 @@ async fn stays_at_rest(server: &Server, what: &str) -> Outcome {
 
 /// Viewers of each codec and renderer, side by side.
 async fn join_each(server: &Server) -> anyhow::Result<Vec<Viewer>> {
-    let hello = |codec| -> anyhow::Result<Hello> {
-        let camera = camera([0.0, 2.0, 0.0], 0.0, 20.0)?;
+    let hello_at = |codec, altitude_m, pitch_deg| -> anyhow::Result<Hello> {
+        let camera = camera([0.0, altitude_m, 0.0], 0.0, pitch_deg)?;
         Ok(Hello {
             codec,
             ..Hello::new(FrameSize::new(96, 54)?, 15.0, camera)
         })
     };
+    let hello = |codec| hello_at(codec, 2.0, 20.0);
     let wishes = [
         hello(Codec::Jpeg)?,
         hello(Codec::H264)?,
@@ -75,6 +76,9 @@ async fn join_each(server: &Server) -> anyhow::Result<Vec<Viewer>> {
             show: Show::CacheMip,
             ..hello(Codec::Png)?
         },
+        // In a layer, and above all of them.
+        hello_at(Codec::Jpeg, 2_500.0, 5.0)?,
+        hello_at(Codec::Png, 12_000.0, -20.0)?,
     ];
     let mut viewers = Vec::new();
     for wish in wishes {
