@@ -572,6 +572,7 @@ impl SkyRenderer {
             let used = !read.is_empty();
             cell.wish = self.losses.wish_of(&cell.coarse, &read);
             let rate = self.losses.rate();
+            let age_factor = rate.age_factor * self.wait_share(id);
             for (proxy, coarse) in cell.coarse.iter().enumerate() {
                 let granted: Vec<TileRequest>;
                 let asked = read.iter().filter_map(|r| r.get(proxy));
@@ -586,7 +587,7 @@ impl SkyRenderer {
                     proxy: proxy as u32,
                 });
                 sphere.set_samples(rate.samples(cell.samples));
-                sphere.set_age_factor(rate.age_factor);
+                sphere.set_age_factor(age_factor);
                 sphere.set_wanted(if used { coarse } else { &[] }, requests);
             }
             cell.requests_changed = false;
