@@ -527,6 +527,7 @@ impl SkyRenderer {
                     })
                     .collect();
             }
+            let wait_share = self.wait_share(id);
             let mut read: Vec<&[Vec<TileRequest>]> = Vec::new();
             for viewer in self.viewers.values_mut() {
                 let size = viewer.view.size;
