@@ -224,7 +224,7 @@ pub struct SphereCache {
     moved: f64,
     /// Samples that texels average, if not as many as those of all spheres.
     samples: Option<u32>,
-    /// While it ages all the time, a tile is marched again when it is so many times as far behind as it may be; below 1 is 1.
+    /// While it ages all the time, a tile is marched again when it is so many times as far behind as it otherwise may be; 0 is 1.
     age_factor: f64,
     /// Whether tables must be made anew.
     tables_changed: bool,
@@ -504,7 +504,7 @@ impl SphereCache {
         let old = self.tiles.get(&key)?;
         let age = self.age_steps(old, reference, distance_m);
         let behind_m = self.behind_m(old, reference);
-        let from = reference + self.course * Self::lead_m(key, old, distance_m);
+        let from = reference + self.course * self.lead_m(key, old, distance_m);
         let tile = self.tiles.get_mut(&key)?;
         let stale = tile.visits == 0 || tile.generation != self.generation;
         let behind = tile.behind(self.moved);

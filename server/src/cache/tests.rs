@@ -201,7 +201,7 @@ fn drifting(wanted: &[TileRequest]) -> Caches {
 }
 
 #[test]
-fn the_largest_expected_error_comes_first_and_what_more_people_see_before_what_fewer_see() {
+fn the_largest_expected_gain_comes_first_and_what_more_people_see_before_what_fewer_see() {
     let at = |x: u16, distance_m: f64| TileRequest {
         distance_m,
         ..request(tile(1, x, 0))

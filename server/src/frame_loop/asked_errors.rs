@@ -5,13 +5,19 @@ use super::auditing::AuditedTexel;
 use super::interface::AskedBy;
 use super::qualities::{Qualities, ViewerQuality};
 use super::renderer::SkyRenderer;
-use crate::quality::{ErrorGovernor, QualitySettings};
+use crate::cache::LAG_RAD;
+use crate::quality::{AuditedError, ErrorGovernor, QualitySettings};
 use skycell_protocol::{CellId, QualityChoice, ViewerId};
 use std::collections::BTreeMap;
 use std::time::Instant;
 
 /// Errors that are followed at a time: others get what the table picks for them.
 const ERRORS_MAX: usize = 64;
+
+/// A texel that is seen from elsewhere than the reference by this angle is old: half of what wind may make it.
+const OLD_RAD: f64 = 0.5 * LAG_RAD;
+/// Work that waits for so long, s, is being behind; less is worked off in a moment.
+const BEHIND_S: f64 = 0.3;
 
 /// How finely is marched for each error that somebody asks for.
 #[derive(Debug, Default)]
@@ -49,13 +55,12 @@ impl Qualities {
         let Some(governor) = error.and_then(|error| self.asked_errors.of(error)) else {
             return picked;
         };
-        if governor.point() == point {
+        let finer = governor.marched().point;
+        if finer == point {
             return picked;
         }
         // Audits look at what is marched, and so much is changed: resolution and filter are of the picture that was asked for.
-        let marched = self
-            .overrides
-            .over(self.table.point(governor.point()).settings);
+        let marched = self.overrides.over(self.table.point(finer).settings);
         QualitySettings {
             mip_bias: picked.mip_bias,
             frame_filter: picked.frame_filter,
@@ -99,10 +104,11 @@ impl SkyRenderer {
             let here = texels
                 .iter()
                 .filter(|texel| errors.get(&texel.sphere.cell) == Some(error));
-            governor.note(
-                here.map(|texel| texel.deviation_percent > 100.0 * *error),
-                now,
-            );
+            let found = here.map(|texel| AuditedError {
+                is_beyond: texel.deviation_percent > 100.0 * *error,
+                is_old: texel.off_rad > OLD_RAD,
+            });
+            governor.note(found, now);
         }
     }
 
@@ -117,7 +123,7 @@ impl SkyRenderer {
             .iter()
             .filter_map(|(id, viewer)| Some((*id, self.qualities.error_of(&viewer.quality)?)))
             .collect();
-        let is_behind = self.losses.rate_step() > 0;
+        let is_behind = self.losses.is_behind(BEHIND_S);
         let Qualities {
             asked_errors: AskedErrors { governors },
             table,
@@ -142,6 +148,17 @@ impl SkyRenderer {
                 self.refresh_quality(id);
             }
         }
+    }
+
+    /// After which share of the time that tiles otherwise wait a cell's are marched again, for the errors that its viewers ask for.
+    pub(super) fn wait_share(&self, cell: CellId) -> f64 {
+        let members = self.viewers.values().filter(|viewer| viewer.cell == cell);
+        members
+            .filter_map(|viewer| {
+                let error = self.qualities.error_of(&viewer.quality)?;
+                Some(self.qualities.asked_errors.of(error)?.marched().wait_share)
+            })
+            .fold(1.0, f64::min)
     }
 
     /// What a cell's viewers do not get of the error that they ask for, for people.

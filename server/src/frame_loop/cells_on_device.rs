@@ -527,6 +527,7 @@ impl SkyRenderer {
                     })
                     .collect();
             }
+            let wait_share = self.wait_share(id);
             let mut read: Vec<&[Vec<TileRequest>]> = Vec::new();
             for viewer in self.viewers.values_mut() {
                 let size = viewer.view.size;
@@ -572,6 +573,7 @@ impl SkyRenderer {
             let used = !read.is_empty();
             cell.wish = self.losses.wish_of(&cell.coarse, &read);
             let rate = self.losses.rate();
+            let age_factor = rate.age_factor * wait_share;
             for (proxy, coarse) in cell.coarse.iter().enumerate() {
                 let granted: Vec<TileRequest>;
                 let asked = read.iter().filter_map(|r| r.get(proxy));
@@ -586,7 +588,7 @@ impl SkyRenderer {
                     proxy: proxy as u32,
                 });
                 sphere.set_samples(rate.samples(cell.samples));
-                sphere.set_age_factor(rate.age_factor);
+                sphere.set_age_factor(age_factor);
                 sphere.set_wanted(if used { coarse } else { &[] }, requests);
             }
             cell.requests_changed = false;

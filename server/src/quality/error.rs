@@ -25,14 +25,39 @@ const CALM: Duration = Duration::from_secs(60);
 /// ... which doubles, up to the longest above, where that did not hold for twice as long.
 const HOLD: Duration = Duration::from_secs(120);
 
-/// How finely is marched for those who ask for one error.
+/// So many texels of the old or of the fresh ones tell what part age has.
+const OF_AGE_MIN: usize = 64;
+/// Where the old ones are so many times as often beyond the error, age is what is wrong.
+const BY_AGE: f64 = 1.5;
+/// Least share of the time that tiles otherwise wait until they are marched again.
+const WAIT_SHARE_MIN: f64 = 0.25;
+
+/// What an audit has found of a texel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AuditedError {
+    /// It deviates by more than was asked for.
+    pub is_beyond: bool,
+    /// What it shows is seen from elsewhere.
+    pub is_old: bool,
+}
+
+/// How is marched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MarchedAs {
+    /// The point of the table as whose rays.
+    pub point: usize,
+    /// After which share of the time that tiles otherwise wait.
+    pub wait_share: f64,
+}
+
+/// How is marched for those who ask for one error.
 #[derive(Clone, Debug)]
 pub struct ErrorGovernor {
-    /// What the table picks for it: never coarser.
-    least: usize,
-    point: usize,
-    /// Of the latest audited texels, whether they deviate by more than was asked for.
-    beyond: VecDeque<bool>,
+    marched: MarchedAs,
+    /// What it was before each step, from the table's pick on: steps are taken back in this order.
+    before: Vec<MarchedAs>,
+    /// What was found of the latest texels.
+    found: VecDeque<AuditedError>,
     changed: Option<Instant>,
     behind_since: Option<Instant>,
     retry: Duration,
@@ -45,11 +70,14 @@ pub struct ErrorGovernor {
 impl ErrorGovernor {
     /// Begins with what the table picks.
     #[must_use]
-    pub fn new(least: usize) -> Self {
+    pub fn new(point: usize) -> Self {
         Self {
-            least,
-            point: least,
-            beyond: VecDeque::with_capacity(WINDOW_TEXELS),
+            marched: MarchedAs {
+                point,
+                wait_share: 1.0,
+            },
+            before: Vec::new(),
+            found: VecDeque::with_capacity(WINDOW_TEXELS),
             changed: None,
             behind_since: None,
             retry: RETRY,
@@ -60,18 +88,29 @@ impl ErrorGovernor {
         }
     }
 
-    /// The point of the table as whose rays are marched.
+    /// How is marched now.
     #[must_use]
-    pub fn point(&self) -> usize {
-        self.point
+    pub fn marched(&self) -> MarchedAs {
+        self.marched
+    }
+
+    /// How many texels there are of some, and the share of them that is beyond the error.
+    fn share_of(&self, of: impl Fn(&AuditedError) -> bool) -> (usize, f64) {
+        let (count, beyond) = self
+            .found
+            .iter()
+            .filter(|found| of(found))
+            .fold((0, 0), |(count, beyond), found| {
+                (count + 1, beyond + usize::from(found.is_beyond))
+            });
+        (count, beyond as f64 / count.max(1) as f64)
     }
 
     /// Share of the latest audited texels that deviate by more than was asked for; none while there are too few.
     #[must_use]
     pub fn share_beyond(&self) -> Option<f64> {
-        let count = self.beyond.len();
-        let beyond = self.beyond.iter().filter(|beyond| **beyond).count();
-        (count >= TEXELS_MIN).then(|| beyond as f64 / count as f64)
+        let (count, share) = self.share_of(|_| true);
+        (count >= TEXELS_MIN).then_some(share)
     }
 
     /// Nothing that was audited speaks against the error being kept.
@@ -80,39 +119,36 @@ impl ErrorGovernor {
         self.share_beyond().is_none_or(|share| share <= BEYOND_MAX)
     }
 
-    /// Takes what an audit has found: whether texels deviate by more than was asked for.
-    pub fn note(&mut self, beyond: impl IntoIterator<Item = bool>, now: Instant) {
+    /// Takes what an audit has found.
+    pub fn note(&mut self, found: impl IntoIterator<Item = AuditedError>, now: Instant) {
         if self.changed.is_some_and(|changed| now - changed < SETTLES) {
             return;
         }
-        for beyond in beyond {
-            if self.beyond.len() == WINDOW_TEXELS {
-                self.beyond.pop_front();
+        for found in found {
+            if self.found.len() == WINDOW_TEXELS {
+                self.found.pop_front();
             }
-            self.beyond.push_back(beyond);
+            self.found.push_back(found);
         }
     }
 
     /// Decides; true when it is marched in another way from now on. `is_behind`: marching does not keep up, something has been
     /// given up for that.
     pub fn consider(&mut self, table: &QualityTable, is_behind: bool, now: Instant) -> bool {
-        let before = self.point;
-        if is_behind {
+        let is_changed = if is_behind {
             let since = *self.behind_since.get_or_insert(now);
-            if now - since >= BEHIND && self.point != self.least {
+            let gives_up = now - since >= BEHIND && self.step_back();
+            if gives_up {
                 self.retry_at = Some(now + self.retry);
                 self.retry = (2 * self.retry).min(RETRY_MAX);
-                self.point = self.coarser(table);
             }
+            gives_up
         } else {
             self.behind_since = None;
-            if let Some(share) = self.share_beyond() {
-                self.follow(table, share, now);
-            }
-        }
-        let is_changed = self.point != before;
+            (self.share_beyond()).is_some_and(|share| self.follow(table, share, now))
+        };
         if is_changed {
-            self.beyond.clear();
+            self.found.clear();
             self.changed = Some(now);
             self.few_since = None;
             self.behind_since = None;
@@ -120,8 +156,8 @@ impl ErrorGovernor {
         is_changed
     }
 
-    fn follow(&mut self, table: &QualityTable, share: f64, now: Instant) {
-        let texels = self.beyond.len();
+    fn follow(&mut self, table: &QualityTable, share: f64, now: Instant) -> bool {
+        let texels = self.found.len();
         // Of few texels, twice the standard error more are no finding.
         let doubt = if texels < WINDOW_TEXELS {
             2.0 * (BEYOND_MAX * (1.0 - BEYOND_MAX) / texels as f64).sqrt()
@@ -131,32 +167,55 @@ impl ErrorGovernor {
         if share > BEYOND_MAX + doubt {
             self.few_since = None;
             if self.retry_at.is_some_and(|at| now < at) {
-                return;
+                return false;
             }
             if (self.coarsened.take()).is_some_and(|coarsened| now - coarsened < HOLD) {
                 self.calm = (2 * self.calm).min(RETRY_MAX);
             }
-            self.point = finer(table, self.point).unwrap_or(self.point);
-        } else if share < BEYOND_FEW && texels == WINDOW_TEXELS && self.point != self.least {
-            if now - *self.few_since.get_or_insert(now) >= self.calm {
-                self.coarsened = Some(now);
-                self.point = self.coarser(table);
-            }
-        } else {
-            self.few_since = None;
+            return self.step(table);
         }
+        if share >= BEYOND_FEW || texels < WINDOW_TEXELS {
+            self.few_since = None;
+            return false;
+        }
+        let is_calm = now - *self.few_since.get_or_insert(now) >= self.calm;
+        let is_back = is_calm && self.step_back();
+        if is_back {
+            self.coarsened = Some(now);
+        }
+        is_back
     }
 
-    /// The point from which the present one is the next finer.
-    fn coarser(&self, table: &QualityTable) -> usize {
-        let mut at = self.least;
-        while let Some(next) = finer(table, at) {
-            if next == self.point {
-                return at;
-            }
-            at = next;
+    /// Marches more often where what is old is wrong, else more finely.
+    fn step(&mut self, table: &QualityTable) -> bool {
+        let (old, old_beyond) = self.share_of(|found| found.is_old);
+        let (fresh, fresh_beyond) = self.share_of(|found| !found.is_old);
+        let is_by_age =
+            old >= OF_AGE_MIN && (fresh < OF_AGE_MIN || old_beyond > BY_AGE * fresh_beyond);
+        let sooner = (self.marched.wait_share > WAIT_SHARE_MIN).then(|| MarchedAs {
+            wait_share: 0.5 * self.marched.wait_share,
+            ..self.marched
+        });
+        let finer = finer(table, self.marched.point).map(|point| MarchedAs {
+            point,
+            ..self.marched
+        });
+        let next = if is_by_age {
+            sooner.or(finer)
+        } else {
+            finer.or(sooner.filter(|_| old >= OF_AGE_MIN))
+        };
+        if let Some(next) = next {
+            self.before.push(self.marched);
+            self.marched = next;
         }
-        self.least
+        next.is_some()
+    }
+
+    fn step_back(&mut self) -> bool {
+        let before = self.before.pop();
+        self.marched = before.unwrap_or(self.marched);
+        before.is_some()
     }
 }
 
@@ -184,22 +243,25 @@ mod tests {
         is_behind: impl Fn(usize) -> bool,
     ) -> Vec<usize> {
         let table = QualityTable::embedded();
-        let mut picked = vec![governor.point()];
+        let mut picked = vec![governor.marched().point];
         let mut sum = 0.0;
         for _ in 0..2 * seconds {
             *now += Duration::from_millis(500);
-            let share = share(governor.point());
-            let beyond: Vec<bool> = (0..32)
+            let share = share(governor.marched().point);
+            let found: Vec<AuditedError> = (0..32)
                 .map(|_| {
                     sum += share;
                     let is_beyond = sum >= 1.0;
                     sum = sum.fract();
-                    is_beyond
+                    AuditedError {
+                        is_beyond,
+                        is_old: false,
+                    }
                 })
                 .collect();
-            governor.note(beyond, *now);
-            if governor.consider(&table, is_behind(governor.point()), *now) {
-                picked.push(governor.point());
+            governor.note(found, *now);
+            if governor.consider(&table, is_behind(governor.marched().point), *now) {
+                picked.push(governor.marched().point);
             }
         }
         picked
@@ -230,7 +292,11 @@ mod tests {
         let picked = run(&mut governor, &mut now, 300, |_| 0.045, |_| false);
         assert_eq!(picked, [0]);
         let mut governor = ErrorGovernor::new(0);
-        governor.note([true; TEXELS_MIN - 1], now);
+        let worst = AuditedError {
+            is_beyond: true,
+            is_old: false,
+        };
+        governor.note([worst; TEXELS_MIN - 1], now);
         assert!(governor.is_kept());
         assert!(!governor.consider(&QualityTable::embedded(), false, now));
     }
@@ -243,7 +309,7 @@ mod tests {
         assert!((4..16).contains(&picked.len()), "{picked:?}");
         // No need at all any more: back to what the table picks.
         run(&mut governor, &mut now, 1_800, |_| 0.0, |_| false);
-        assert_eq!(governor.point(), 0);
+        assert_eq!(governor.marched().point, 0);
     }
 
     #[test]
@@ -254,6 +320,30 @@ mod tests {
         let picked = run(&mut governor, &mut now, 60, |_| 0.3, |_| true);
         assert_eq!(picked.last(), Some(&0));
         run(&mut governor, &mut now, 30, |_| 0.3, |_| true);
-        assert!(!governor.is_kept() && governor.point() == 0);
+        assert!(!governor.is_kept() && governor.marched().point == 0);
+    }
+
+    #[test]
+    fn where_what_is_old_is_wrong_it_is_marched_more_often_and_not_more_finely() {
+        let (mut governor, mut now) = (ErrorGovernor::new(0), Instant::now());
+        let table = QualityTable::embedded();
+        let mut picked = Vec::new();
+        for _ in 0..120 {
+            now += Duration::from_millis(500);
+            let wait_share = governor.marched().wait_share;
+            let found = (0..32).map(|index| AuditedError {
+                is_beyond: index % 4 == 0 && f64::from(index) < 32.0 * wait_share,
+                is_old: index % 4 == 0,
+            });
+            governor.note(found, now);
+            if governor.consider(&table, false, now) {
+                picked.push(governor.marched());
+            }
+        }
+        let point = 0;
+        let of = |wait_share: f64| MarchedAs { point, wait_share };
+        // An eighth is beyond it in the end, and there is no more often: then more finely.
+        assert_eq!(picked[..2], [of(0.5), of(0.25)]);
+        assert!(picked[2..].iter().all(|p| p.point > 0), "{picked:?}");
     }
 }

@@ -107,10 +107,20 @@ impl SphereCache {
         (AGE_MOVED * AGE_STEP_RAD).min(MOVED_TEXELS * texel_rad) / tile.rate
     }
 
+    /// How many times as old as otherwise tiles become before they are marched again.
+    fn lasts(&self) -> f64 {
+        if self.age_factor > 0.0 {
+            self.age_factor
+        } else {
+            1.0
+        }
+    }
+
     /// How far ahead of the reference the rays of a sample start, m: half of the way that it goes until the tile's next one, so
     /// that what is shown until then is seen from too far ahead as long as from too far behind.
-    pub(super) fn lead_m(key: TileKey, tile: &Tile, distance_m: f64) -> f64 {
-        (0.5 * Self::moved_max_rad(key, tile) * distance_m).min(LEAD_MAX_M)
+    pub(super) fn lead_m(&self, key: TileKey, tile: &Tile, distance_m: f64) -> f64 {
+        let lasts = self.lasts().min(1.0);
+        (0.5 * lasts * Self::moved_max_rad(key, tile) * distance_m).min(LEAD_MAX_M)
     }
 
     /// Whether a tile with all its samples is to take another.
@@ -122,8 +132,8 @@ impl SphereCache {
         reference: DVec3,
         is_calm: bool,
     ) -> bool {
-        // Where time does not suffice, what moves may get older before its turn comes.
-        let lasts = self.age_factor.max(1.0);
+        // Where time does not suffice, what moves may get older before its turn comes; less old where audits say so.
+        let lasts = self.lasts();
         let seen_elsewhere = if self.drifts {
             let moved_rad = Self::moved_m(tile, reference) / want.distance_m.max(1.0);
             let behind = steps_of_age(self.behind_m(tile, reference), want.distance_m);
