@@ -277,13 +277,19 @@ async fn the_command_line_client_speaks_tls_with_a_token_and_tokens_are_read_aga
             server.url("").parse::<ServerAddress>()?.with_access(access),
         )?)
     };
-    ensure!(trusting(&certificate)?.scene().await.is_err(), "it is known too early");
+    ensure!(
+        trusting(&certificate)?.scene().await.is_err(),
+        "it is known too early"
+    );
     server.hang_up()?;
     until("the new certificate is shown", async || {
         Ok(trusting(&certificate)?.scene().await.is_ok().then_some(()))
     })
     .await?;
-    ensure!(trusting(&old_file)?.scene().await.is_err(), "the old certificate is still shown");
+    ensure!(
+        trusting(&old_file)?.scene().await.is_err(),
+        "the old certificate is still shown"
+    );
     Ok(())
 }
 

@@ -143,11 +143,16 @@ impl SkyRenderer {
                 changed.push(*error);
             }
         }
+        if changed.is_empty() {
+            return;
+        }
         for (id, error) in asked {
             if changed.contains(&error) {
                 self.refresh_quality(id);
             }
         }
+        // What was audited was marched in another way than what is shown from now on.
+        self.audit.restart();
     }
 
     /// After which share of the time that tiles otherwise wait a cell's are marched again, for the errors that its viewers ask for.

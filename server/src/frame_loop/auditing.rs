@@ -61,7 +61,7 @@ impl Audit {
         }
     }
 
-    /// The scene is another.
+    /// The scene is another, or it is marched in another way.
     pub(super) fn restart(&mut self) {
         self.window.restart();
     }

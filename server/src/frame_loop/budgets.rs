@@ -55,9 +55,9 @@ impl Losses {
         self.rate.rate()
     }
 
-    /// Something is given up because marching does not keep up, and work waits for longer than a time, s.
+    /// More than a little is given up because marching does not keep up, or a little and work waits for longer than a time, s.
     pub(super) fn is_behind(&self, waits_s: f64) -> bool {
-        self.rate.step() > 0 && self.backlog_s > waits_s
+        self.rate.step() > 1 || self.rate.step() == 1 && self.backlog_s > waits_s
     }
 
     /// What a cell would hold of what viewers ask for; an upper bound where that is known to fit.

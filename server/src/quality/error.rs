@@ -10,14 +10,14 @@ pub const BEYOND_MAX: f64 = 0.05;
 const BEYOND_FEW: f64 = 0.01;
 /// The latest texels that a decision follows from, ...
 const WINDOW_TEXELS: usize = 1024;
-/// ... and the fewest.
-const TEXELS_MIN: usize = 256;
+/// ... and the fewest: what is far beyond is seen from these.
+const TEXELS_MIN: usize = 64;
 /// After a change, what is audited for so long may have been marched before it.
 const SETTLES: Duration = Duration::from_secs(2);
 /// Where marching has been behind for so long, something finer that was picked is given up again, ...
 const BEHIND: Duration = Duration::from_secs(10);
 /// ... and tried again after this; each time that it did not fit, the wait doubles, ...
-const RETRY: Duration = Duration::from_secs(40);
+const RETRY: Duration = Duration::from_secs(160);
 /// ... up to this.
 const RETRY_MAX: Duration = Duration::from_secs(640);
 /// How long few texels must have been beyond the error before something coarser is tried, ...
@@ -26,8 +26,8 @@ const CALM: Duration = Duration::from_secs(60);
 const HOLD: Duration = Duration::from_secs(120);
 
 /// So many texels of the old or of the fresh ones tell what part age has.
-const OF_AGE_MIN: usize = 64;
-/// Where the old ones are so many times as often beyond the error, age is what is wrong.
+const OF_AGE_MIN: usize = 16;
+/// Where the old ones are so many times as often beyond the error, and twice the standard error more, age is what is wrong.
 const BY_AGE: f64 = 1.5;
 /// Least share of the time that tiles otherwise wait until they are marched again.
 const WAIT_SHARE_MIN: f64 = 0.25;
@@ -116,7 +116,16 @@ impl ErrorGovernor {
     /// Nothing that was audited speaks against the error being kept.
     #[must_use]
     pub fn is_kept(&self) -> bool {
-        self.share_beyond().is_none_or(|share| share <= BEYOND_MAX)
+        self.share_beyond()
+            .is_none_or(|share| share <= self.beyond_max())
+    }
+
+    /// The share from which on texels speak against the error being kept. It is looked at again and again, so something is
+    /// always found by chance: of few texels up to three times the standard error more, of a whole window once.
+    fn beyond_max(&self) -> f64 {
+        let texels = self.found.len();
+        let errors = if texels < WINDOW_TEXELS { 3.0 } else { 1.0 };
+        BEYOND_MAX + errors * (BEYOND_MAX * (1.0 - BEYOND_MAX) / texels as f64).sqrt()
     }
 
     /// Takes what an audit has found.
@@ -157,14 +166,7 @@ impl ErrorGovernor {
     }
 
     fn follow(&mut self, table: &QualityTable, share: f64, now: Instant) -> bool {
-        let texels = self.found.len();
-        // Of few texels, twice the standard error more are no finding.
-        let doubt = if texels < WINDOW_TEXELS {
-            2.0 * (BEYOND_MAX * (1.0 - BEYOND_MAX) / texels as f64).sqrt()
-        } else {
-            0.0
-        };
-        if share > BEYOND_MAX + doubt {
+        if share > self.beyond_max() {
             self.few_since = None;
             if self.retry_at.is_some_and(|at| now < at) {
                 return false;
@@ -174,7 +176,7 @@ impl ErrorGovernor {
             }
             return self.step(table);
         }
-        if share >= BEYOND_FEW || texels < WINDOW_TEXELS {
+        if share >= BEYOND_FEW || self.found.len() < WINDOW_TEXELS {
             self.few_since = None;
             return false;
         }
@@ -190,8 +192,10 @@ impl ErrorGovernor {
     fn step(&mut self, table: &QualityTable) -> bool {
         let (old, old_beyond) = self.share_of(|found| found.is_old);
         let (fresh, fresh_beyond) = self.share_of(|found| !found.is_old);
+        let (_, share) = self.share_of(|_| true);
+        let doubt = 2.0 * (share * (1.0 - share) / old.max(1) as f64).sqrt();
         let is_by_age =
-            old >= OF_AGE_MIN && (fresh < OF_AGE_MIN || old_beyond > BY_AGE * fresh_beyond);
+            old >= OF_AGE_MIN && (fresh < OF_AGE_MIN || old_beyond > BY_AGE * fresh_beyond + doubt);
         let sooner = (self.marched.wait_share > WAIT_SHARE_MIN).then(|| MarchedAs {
             wait_share: 0.5 * self.marched.wait_share,
             ..self.marched

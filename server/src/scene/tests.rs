@@ -448,10 +448,21 @@ fn wherever_the_last_line_of_the_journal_is_cut_what_comes_after_it_is_kept() {
     let journal = folder.path().join("revisions.log");
     let whole = fs::read(&journal).expect("a journal");
     let scene = fs::read(folder.path().join("scene.json")).expect("a scene");
-    let last_line = whole.len() - whole.split_inclusive(|byte| *byte == b'\n').next_back().map_or(0, <[u8]>::len);
+    let last_line = whole.len()
+        - whole
+            .split_inclusive(|byte| *byte == b'\n')
+            .next_back()
+            .map_or(0, <[u8]>::len);
     assert!(last_line > 0);
     // From the whole line without its end of line to nothing of it.
-    for length in [whole.len() - 1, whole.len() - 2, last_line + 20, last_line + 16, last_line + 1, last_line] {
+    for length in [
+        whole.len() - 1,
+        whole.len() - 2,
+        last_line + 20,
+        last_line + 16,
+        last_line + 1,
+        last_line,
+    ] {
         fs::write(&journal, &whole[..length]).expect("cut");
         fs::write(folder.path().join("scene.json"), &scene).expect("written");
         let store = open(&folder);
@@ -483,7 +494,8 @@ fn a_change_is_in_the_files_before_anybody_is_told_of_it() {
             let journal = fs::read_to_string(path.join("revisions.log")).expect("a journal");
             let scene = fs::read_to_string(path.join("scene.json")).expect("a scene");
             seen = changes.borrow_and_update().revision;
-            let is_kept = [',', '}'].map(|next| journal.contains(&format!("\"revision\":{seen}{next}")));
+            let is_kept =
+                [',', '}'].map(|next| journal.contains(&format!("\"revision\":{seen}{next}")));
             assert!(is_kept.contains(&true), "{seen}: {journal}");
             let scene: serde_json::Value = serde_json::from_str(&scene).expect("JSON");
             assert!(scene["revision"].as_u64() >= Some(seen), "{seen}: {scene}");
