@@ -16,8 +16,6 @@ const ERRORS_MAX: usize = 64;
 
 /// A texel that is seen from elsewhere than the reference by this angle is old: half of what wind may make it.
 const OLD_RAD: f64 = 0.5 * LAG_RAD;
-/// Work that waits for so long, s, is being behind; less is worked off in a moment.
-const BEHIND_S: f64 = 0.3;
 
 /// How finely is marched for each error that somebody asks for.
 #[derive(Debug, Default)]
@@ -123,7 +121,7 @@ impl SkyRenderer {
             .iter()
             .filter_map(|(id, viewer)| Some((*id, self.qualities.error_of(&viewer.quality)?)))
             .collect();
-        let is_behind = self.losses.is_behind(BEHIND_S);
+        let is_behind = self.losses.is_behind();
         let Qualities {
             asked_errors: AskedErrors { governors },
             table,

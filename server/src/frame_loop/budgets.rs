@@ -55,9 +55,9 @@ impl Losses {
         self.rate.rate()
     }
 
-    /// More than a little is given up because marching does not keep up, or a little and work waits for longer than a time, s.
-    pub(super) fn is_behind(&self, waits_s: f64) -> bool {
-        self.rate.step() > 1 || self.rate.step() == 1 && self.backlog_s > waits_s
+    /// Marching does not keep up, so that more than how soon what is old is marched again is given up.
+    pub(super) fn is_behind(&self) -> bool {
+        self.rate.rate().coarsens()
     }
 
     /// What a cell would hold of what viewers ask for; an upper bound where that is known to fit.

@@ -9,7 +9,7 @@ pub const BEYOND_MAX: f64 = 0.05;
 /// Below this share something coarser is tried again.
 const BEYOND_FEW: f64 = 0.01;
 /// The latest texels that a decision follows from, ...
-const WINDOW_TEXELS: usize = 1024;
+const WINDOW_TEXELS: usize = 4096;
 /// ... and the fewest: what is far beyond is seen from these.
 const TEXELS_MIN: usize = 64;
 /// After a change, what is audited for so long may have been marched before it.
@@ -121,10 +121,10 @@ impl ErrorGovernor {
     }
 
     /// The share from which on texels speak against the error being kept. It is looked at again and again, so something is
-    /// always found by chance: of few texels up to three times the standard error more, of a whole window once.
+    /// always found by chance: of few texels up to three times the standard error more, of a whole window twice.
     fn beyond_max(&self) -> f64 {
         let texels = self.found.len();
-        let errors = if texels < WINDOW_TEXELS { 3.0 } else { 1.0 };
+        let errors = if texels < WINDOW_TEXELS { 3.0 } else { 2.0 };
         BEYOND_MAX + errors * (BEYOND_MAX * (1.0 - BEYOND_MAX) / texels as f64).sqrt()
     }
 
