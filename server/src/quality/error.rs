@@ -196,7 +196,7 @@ impl ErrorGovernor {
         let doubt = 2.0 * (share * (1.0 - share) / old.max(1) as f64).sqrt();
         let is_by_age =
             old >= OF_AGE_MIN && (fresh < OF_AGE_MIN || old_beyond > BY_AGE * fresh_beyond + doubt);
-        let sooner = (self.marched.wait_share > WAIT_SHARE_MIN).then(|| MarchedAs {
+        let sooner = (self.marched.wait_share > WAIT_SHARE_MIN).then_some(MarchedAs {
             wait_share: 0.5 * self.marched.wait_share,
             ..self.marched
         });
