@@ -224,8 +224,8 @@ pub struct SphereCache {
     moved: f64,
     /// Samples that texels average, if not as many as those of all spheres.
     samples: Option<u32>,
-    /// While it ages all the time, a tile is marched again when it is so many times as far behind as it otherwise may be; 0 is 1.
-    age_factor: f64,
+    /// While it ages all the time, a tile is marched again when it is so many times as far behind as it otherwise may be.
+    age_factor: Option<f64>,
     /// Whether tables must be made anew.
     tables_changed: bool,
 }
@@ -283,7 +283,7 @@ impl SphereCache {
 
     /// While the sky or the reference moves, tiles may be so many times as far behind before they are marched again.
     pub fn set_age_factor(&mut self, age_factor: f64) {
-        self.age_factor = age_factor;
+        self.age_factor = Some(age_factor);
     }
 
     /// Replaces what viewers want by the union of their requests and the coarse level.

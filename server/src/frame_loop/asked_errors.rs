@@ -6,7 +6,7 @@ use super::interface::AskedBy;
 use super::qualities::{Qualities, ViewerQuality};
 use super::renderer::SkyRenderer;
 use crate::cache::LAG_RAD;
-use crate::quality::{AuditedError, ErrorGovernor, QualitySettings};
+use crate::quality::{AuditedError, BEYOND_MAX, ErrorGovernor, QualitySettings};
 use skycell_protocol::{CellId, QualityChoice, ViewerId};
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -71,7 +71,7 @@ impl Qualities {
     pub(super) fn is_error_kept(&self, asked: QualityChoice, by: AskedBy) -> bool {
         let error = self.asked_error(asked, by);
         let governor = error.and_then(|error| self.asked_errors.of(error));
-        governor.is_none_or(ErrorGovernor::is_kept)
+        governor.is_none_or(|governor| governor.missed_share().is_none())
     }
 
     fn error_of(&self, quality: &ViewerQuality) -> Option<f64> {
@@ -167,14 +167,12 @@ impl SkyRenderer {
     /// What a cell's viewers do not get of the error that they ask for, for people.
     pub(super) fn error_note(&self, cell: CellId) -> Option<String> {
         let error = *self.errors_of_cells().get(&cell)?;
-        let share = self.qualities.asked_errors.of(error)?.share_beyond()?;
-        (share > crate::quality::BEYOND_MAX).then(|| {
-            format!(
-                "the error that was asked for is not kept ({:.0} % of the audited texels deviate by more than {:.1} %, allowed: {:.0} %)",
-                100.0 * share,
-                100.0 * error,
-                100.0 * crate::quality::BEYOND_MAX
-            )
-        })
+        let share = self.qualities.asked_errors.of(error)?.missed_share()?;
+        Some(format!(
+            "the error that was asked for is not kept ({:.0} % of the audited texels deviate by more than {:.1} %, allowed: {:.0} %)",
+            100.0 * share,
+            100.0 * error,
+            100.0 * BEYOND_MAX
+        ))
     }
 }

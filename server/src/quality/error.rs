@@ -58,6 +58,8 @@ pub struct ErrorGovernor {
     before: Vec<MarchedAs>,
     /// What was found of the latest texels.
     found: VecDeque<AuditedError>,
+    /// How many of them are beyond the error: that is asked for every viewer in every turn.
+    beyond: usize,
     changed: Option<Instant>,
     behind_since: Option<Instant>,
     retry: Duration,
@@ -78,6 +80,7 @@ impl ErrorGovernor {
             },
             before: Vec::new(),
             found: VecDeque::with_capacity(WINDOW_TEXELS),
+            beyond: 0,
             changed: None,
             behind_since: None,
             retry: RETRY,
@@ -107,17 +110,16 @@ impl ErrorGovernor {
     }
 
     /// Share of the latest audited texels that deviate by more than was asked for; none while there are too few.
-    #[must_use]
-    pub fn share_beyond(&self) -> Option<f64> {
-        let (count, share) = self.share_of(|_| true);
-        (count >= TEXELS_MIN).then_some(share)
+    fn share_beyond(&self) -> Option<f64> {
+        let texels = self.found.len();
+        (texels >= TEXELS_MIN).then(|| self.beyond as f64 / texels as f64)
     }
 
-    /// Nothing that was audited speaks against the error being kept.
+    /// Share of the latest audited texels that deviate by more than was asked for, where it speaks against the error being kept.
     #[must_use]
-    pub fn is_kept(&self) -> bool {
+    pub fn missed_share(&self) -> Option<f64> {
         self.share_beyond()
-            .is_none_or(|share| share <= self.beyond_max())
+            .filter(|share| *share > self.beyond_max())
     }
 
     /// The share from which on texels speak against the error being kept. It is looked at again and again, so something is
@@ -135,8 +137,10 @@ impl ErrorGovernor {
         }
         for found in found {
             if self.found.len() == WINDOW_TEXELS {
-                self.found.pop_front();
+                let oldest = self.found.pop_front();
+                self.beyond -= usize::from(oldest.is_some_and(|oldest| oldest.is_beyond));
             }
+            self.beyond += usize::from(found.is_beyond);
             self.found.push_back(found);
         }
     }
@@ -158,6 +162,7 @@ impl ErrorGovernor {
         };
         if is_changed {
             self.found.clear();
+            self.beyond = 0;
             self.changed = Some(now);
             self.few_since = None;
             self.behind_since = None;
@@ -192,7 +197,7 @@ impl ErrorGovernor {
     fn step(&mut self, table: &QualityTable) -> bool {
         let (old, old_beyond) = self.share_of(|found| found.is_old);
         let (fresh, fresh_beyond) = self.share_of(|found| !found.is_old);
-        let (_, share) = self.share_of(|_| true);
+        let share = self.beyond as f64 / self.found.len().max(1) as f64;
         let doubt = 2.0 * (share * (1.0 - share) / old.max(1) as f64).sqrt();
         let is_by_age =
             old >= OF_AGE_MIN && (fresh < OF_AGE_MIN || old_beyond > BY_AGE * fresh_beyond + doubt);
@@ -284,7 +289,7 @@ mod tests {
         let share = |point: usize| 5.0 / f64::from(table.point(point).settings.march_steps);
         let picked = run(&mut governor, &mut now, 30, share, |_| false);
         assert_eq!(steps(&picked), [32, 64, 128]);
-        assert!(governor.is_kept());
+        assert_eq!(governor.missed_share(), None);
         // Neither finer nor coarser, however long.
         let picked = run(&mut governor, &mut now, 900, share, |_| false);
         assert_eq!(steps(&picked), [128]);
@@ -301,7 +306,7 @@ mod tests {
             is_old: false,
         };
         governor.note([worst; TEXELS_MIN - 1], now);
-        assert!(governor.is_kept());
+        assert_eq!(governor.missed_share(), None);
         assert!(!governor.consider(&QualityTable::embedded(), false, now));
     }
 
@@ -324,7 +329,7 @@ mod tests {
         let picked = run(&mut governor, &mut now, 60, |_| 0.3, |_| true);
         assert_eq!(picked.last(), Some(&0));
         run(&mut governor, &mut now, 30, |_| 0.3, |_| true);
-        assert!(!governor.is_kept() && governor.marched().point == 0);
+        assert!(governor.missed_share().is_some() && governor.marched().point == 0);
     }
 
     #[test]

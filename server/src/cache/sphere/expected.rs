@@ -109,11 +109,7 @@ impl SphereCache {
 
     /// How many times as old as otherwise tiles become before they are marched again.
     fn lasts(&self) -> f64 {
-        if self.age_factor > 0.0 {
-            self.age_factor
-        } else {
-            1.0
-        }
+        self.age_factor.unwrap_or(1.0)
     }
 
     /// How far ahead of the reference the rays of a sample start, m: half of the way that it goes until the tile's next one, so
