@@ -190,9 +190,13 @@ impl SkyRenderer {
             ));
         }
         if rate != RateGovernor::default().rate() {
+            let fewer = match rate.samples_divisor {
+                1 => String::new(),
+                divisor => format!(", samples are divided by {divisor}"),
+            };
             notes.push(format!(
-                "the time for marching does not suffice (texels wait {} times as long, samples are divided by {})",
-                rate.age_factor, rate.samples_divisor
+                "the time for marching does not suffice (texels wait {} times as long{fewer})",
+                rate.age_factor
             ));
         }
         if cell.lost > 0 {
