@@ -471,6 +471,10 @@ const MODULES: &[(&str, &str)] = &[
         include_str!("../wgsl/geometry/octahedral.wgsl"),
     ),
     (
+        "geometry/cubic.wgsl",
+        include_str!("../wgsl/geometry/cubic.wgsl"),
+    ),
+    (
         "geometry/surface.wgsl",
         include_str!("../wgsl/geometry/surface.wgsl"),
     ),

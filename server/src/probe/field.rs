@@ -44,6 +44,8 @@ pub enum FieldQuestion {
     Tone = 11,
     /// A texel after many samples.
     Accumulated = 12,
+    /// Where the first samples of a texel stand in the mean.
+    SampleOffset = 13,
     /// Where a slice of a temporal window shows a point.
     Reprojected = 30,
     /// Weights of a temporal window's samples, and how they are kept.

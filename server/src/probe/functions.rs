@@ -25,6 +25,8 @@ pub enum FunctionQuestion {
     DomeDistance = 7,
     /// A ray from above and the surface of a proxy.
     ProxyFromAbove = 8,
+    /// Weights of a read of the cache.
+    CubicWeights = 9,
 }
 
 /// Two vectors.

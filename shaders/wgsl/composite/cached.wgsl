@@ -1,5 +1,8 @@
 #define_import_path skycell::cached
 #import skycell::octahedral::octahedral_from_direction
+#ifdef CATMULL_ROM
+#import skycell::cubic::{softness, cubic_weights}
+#endif
 #import skycell::shell::{altitude_m, shell_roots}
 #import skycell::surface::{surface_point, surface_distance_m}
 #ifdef DISTANCES
@@ -30,23 +33,24 @@ const PAGE_TILES: u32 = 128u;
 const PAGE_TEXELS: vec2f = vec2f(64.0, 8192.0);
 /// Tiles along the octahedral square at level 0.
 const BASE_TILES: u32 = 5u;
+const FULL_SPHERE_SR: f32 = 12.566370614359172;
 #ifdef CACHE_READS
 /// Reads of the atlas, of its page tables and of where rays started, for one pixel.
 var<private> cache_reads: u32 = 0u;
 #endif
 
 #ifdef CATMULL_ROM
-/// Catmull-Rom reconstruction from nine bilinear reads (the separable form with merged middle taps). The gutter of two
+/// Reconstruction by a cubic filter from five bilinear reads: the separable form with merged middle taps. The gutter of two
 /// texels keeps every tap inside the tile.
-fn read_radiance(texel: vec2f, page: u32) -> vec4f {
+fn read_radiance(texel: vec2f, page: u32, soft: f32) -> vec4f {
     let centre = floor(texel - 0.5) + 0.5;
-    let f = texel - centre;
-    let w_first = f * (-0.5 + f * (1.0 - 0.5 * f));
-    let w_second = 1.0 + f * f * (-2.5 + 1.5 * f);
-    let w_third = f * (0.5 + f * (2.0 - 1.5 * f));
-    let w_last = f * f * (-0.5 + 0.5 * f);
-    // w_second + w_third is at least 1 for f in 0...1.
-    let w_middle = w_second + w_third;
+    let across = cubic_weights(texel.x - centre.x, soft);
+    let down = cubic_weights(texel.y - centre.y, soft);
+    let w_first = vec2f(across.x, down.x);
+    let w_third = vec2f(across.z, down.z);
+    let w_last = vec2f(across.w, down.w);
+    // At least 5/6.
+    let w_middle = vec2f(across.y, down.y) + w_third;
     let at_first = (centre - 1.0) / PAGE_TEXELS;
     let at_middle = (centre + w_third / w_middle) / PAGE_TEXELS;
     let at_last = (centre + 2.0) / PAGE_TEXELS;
@@ -55,13 +59,13 @@ fn read_radiance(texel: vec2f, page: u32) -> vec4f {
     sum += textureSampleLevel(atlas_radiance, atlas_sampler, vec2f(at_last.x, at_middle.y), page, 0.0) * (w_last.x * w_middle.y);
     sum += textureSampleLevel(atlas_radiance, atlas_sampler, vec2f(at_middle.x, at_first.y), page, 0.0) * (w_middle.x * w_first.y);
     sum += textureSampleLevel(atlas_radiance, atlas_sampler, vec2f(at_middle.x, at_last.y), page, 0.0) * (w_middle.x * w_last.y);
-    // The four corners weigh at most 1/64 each; dropping them and dividing by what is left costs less than they do.
+    // The four corners weigh at most 1/36 each; dropping them and dividing by what is left costs less than they do.
     let total = w_middle.x * w_middle.y + (w_first.x + w_last.x) * w_middle.y + w_middle.x * (w_first.y + w_last.y);
     let value = max(sum / total, vec4f(0.0));
     return vec4f(value.xyz, min(value.w, 1.0));
 }
 #else
-fn read_radiance(texel: vec2f, page: u32) -> vec4f {
+fn read_radiance(texel: vec2f, page: u32, soft: f32) -> vec4f {
     return textureSampleLevel(atlas_radiance, atlas_sampler, texel / PAGE_TEXELS, page, 0.0);
 }
 #endif
@@ -72,6 +76,7 @@ struct Found {
     slot: u32,
     /// Of its page, in texels.
     texel: vec2f,
+    level: u32,
 }
 
 fn find(table: PageTable, from_anchor: vec3f) -> Found {
@@ -89,15 +94,21 @@ fn find(table: PageTable, from_anchor: vec3f) -> Found {
     let level_tile = vec2f(tile >> vec2u(table.level - level));
     let within = (square * f32(BASE_TILES << level) - level_tile) * TILE_INTERIOR;
     let origin = vec2f(0.0, f32(slot % PAGE_TILES * TILE_STRIDE));
-    return Found(held, slot, origin + GUTTER + clamp(within, vec2f(0.0), vec2f(TILE_INTERIOR)));
+    return Found(held, slot, origin + GUTTER + clamp(within, vec2f(0.0), vec2f(TILE_INTERIOR)), level);
 }
 
-/// What the cache holds of a layer in a direction from its anchor. Without any tile, and where something hides the layer:
-/// clear sky.
-fn cached_radiance(table: PageTable, from_anchor: vec3f, hidden: bool) -> LayerRadiance {
+/// What the cache holds of a layer in a direction from its anchor, for a pixel of a solid angle as seen from there, sr; 0: as sharply
+/// as may be. Without any tile, and where something hides the layer: clear sky.
+fn cached_radiance(table: PageTable, from_anchor: vec3f, pixel_sr: f32, hidden: bool) -> LayerRadiance {
     let found = find(table, from_anchor);
     let held = found.held && !hidden;
     let page = found.slot / PAGE_TILES;
+#ifdef CATMULL_ROM
+    let texels_per_side = f32(BASE_TILES << found.level) * TILE_INTERIOR;
+    let soft = softness(pixel_sr * texels_per_side * texels_per_side / FULL_SPHERE_SR);
+#else
+    let soft = 0.0;
+#endif
 #ifdef CACHE_READS
 #ifdef CATMULL_ROM
     cache_reads += 7u;
@@ -105,7 +116,7 @@ fn cached_radiance(table: PageTable, from_anchor: vec3f, hidden: bool) -> LayerR
     cache_reads += 2u;
 #endif
 #endif
-    let radiance = select(vec4f(0.0, 0.0, 0.0, 1.0), read_radiance(found.texel, page), held);
+    let radiance = select(vec4f(0.0, 0.0, 0.0, 1.0), read_radiance(found.texel, page, soft), held);
     var opacity_distance_m = textureSampleLevel(atlas_distance, atlas_sampler, found.texel / PAGE_TEXELS, page, 0.0).x;
 #ifdef CATMULL_ROM
     // Its opacity must come from the same filter, or the distance jumps at edges.
@@ -398,6 +409,12 @@ fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTabl
 }
 #endif
 
+/// The solid angle of a viewer's pixel, sr: θ off the middle of a picture it has cos³θ of what it has there.
+fn pixel_sr(eye: View, direction: vec3f) -> f32 {
+    let mu = max(dot(direction, eye.forward), 0.0);
+    return eye.pixel_angle_rad * eye.pixel_angle_rad * mu * mu * mu;
+}
+
 /// What the cache holds of a part of a layer along a viewer's ray.
 fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hidden: bool) -> LayerRadiance {
     let proxy = kept.proxy;
@@ -411,13 +428,13 @@ fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hi
 #ifdef PARALLAX
     let parallax = parallax_along(planet_radius_m, eye, proxy, table, direction, is_clear);
     let point = point_at_place(planet_radius_m, eye, proxy, direction, parallax.place);
-    var cloud = cached_radiance(table, place_of_point(planet_radius_m, proxy, parallax, point), is_clear);
+    var cloud = cached_radiance(table, place_of_point(planet_radius_m, proxy, parallax, point), pixel_sr(eye, direction), is_clear);
     // The viewer is as far from what it sees as it is, not as far as the origin of the texel's ray.
     cloud.opacity_distance_m *= length(point - eye.position) / max(length(point - proxy.anchor - parallax.origin), 1.0);
     return cloud;
 #else
     let point = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);
-    return cached_radiance(table, point - proxy.anchor, is_clear);
+    return cached_radiance(table, point - proxy.anchor, pixel_sr(eye, direction), is_clear);
 #endif
 }
 

@@ -92,10 +92,10 @@ fn shown_before(way: Resample, table: PageTable, square: vec2f) -> LayerRadiance
         let starts = in_other_frame(r, altitude_m(r, way.reference), way.reference, way.moved);
         let direction = normalize(there - starts);
         let seen = surface_point(r, way.old_proxy, starts, altitude_m(r, starts), direction);
-        return cached_radiance(table, seen - way.old_proxy.anchor, false);
+        return cached_radiance(table, seen - way.old_proxy.anchor, 0.0, false);
     }
 #endif
-    return cached_radiance(table, before - way.old_proxy.anchor, false);
+    return cached_radiance(table, before - way.old_proxy.anchor, 0.0, false);
 }
 #endif
 

@@ -1,5 +1,6 @@
 // One ray per texel of a tile: fills the proxy-sphere cache.
 #import skycell::march::{scene, march_layer, sample_offset, sample_start_fraction, LayerRadiance, CLEAR_OPACITY}
+#import skycell::cubic::cubic_weights
 #import skycell::texel_ray::{TILE_STRIDE, PAGE_TILES, FOOTPRINT_TEXELS, texel_in_level, texel_direction, place_on_surface}
 #import skycell::accumulate::accumulated
 #ifdef COUNT_READS
@@ -41,17 +42,12 @@ struct OldTexel {
     opacity_distance_m: f32,
 }
 
-/// Weights of the four texels around a place that lies `f` of the way from the second to the third (Catmull & Rom 1974).
-fn catmull_rom(f: f32) -> vec4f {
-    return vec4f(f * (-0.5 + f * (1.0 - 0.5 * f)), 1.0 + f * f * (-2.5 + 1.5 * f), f * (0.5 + f * (2.0 - 1.5 * f)), f * f * (-0.5 + 0.5 * f));
-}
-
 /// Old texels at a place of their stored tile, in texels from the first one's middle. Sharply, since it is done again with each
 /// sample; beyond the tile its edge goes on. The distance is interpolated by its opacity.
 fn old_between(previous: u32, place: vec2f) -> OldTexel {
     let first = floor(place) - 1.0;
-    let x = catmull_rom(place.x - first.x - 1.0);
-    let y = catmull_rom(place.y - first.y - 1.0);
+    let x = cubic_weights(place.x - first.x - 1.0, 0.0);
+    let y = cubic_weights(place.y - first.y - 1.0, 0.0);
     let last = vec2f(f32(TILE_STRIDE - 1u));
     var sum = vec4f(0.0);
     var opacity_distance_m = 0.0;

@@ -1,6 +1,6 @@
 // Functions that read the scene or its cloud field, at given points, one thread per point: for comparison with their f64
 // twins and for the probe command.
-#import skycell::march::{scene, steps_at, distance_at_m, first_sample_at, sun_optical_depth, ray_scene, LayerRadiance}
+#import skycell::march::{scene, steps_at, distance_at_m, first_sample_at, sample_offset, sun_optical_depth, ray_scene, LayerRadiance}
 #import skycell::scene::Layer
 #import skycell::shell::{altitude_m, layer_intervals}
 #import skycell::phase::{one_minus_mu, phase_per_sr, phase_over_disc_per_sr}
@@ -139,6 +139,10 @@ fn probe_field(@builtin(global_invocation_id) id: vec3u) {
                 held = accumulated(held, select(a - c, a + c, n % 2u == 0u), weight);
             }
             value = held;
+        }
+        // The mean offset of the first b.x samples of the texel at a.xy.
+        case 13u: {
+            for (var n = 0u; n < u32(b.x); n += 1u) { value += vec4f(sample_offset(a.xy, n), 0.0, 0.0) / b.x; }
         }
         // reprojected(forward = a.xyz, across = b.xyz, upward = c.xyz, size = (a.w, b.w), point from the eye = d.xyz)
         case 30u: { value = vec4f(reprojected(a.xyz, b.xyz, c.xyz, vec2f(a.w, b.w), d.xyz), 0.0); }

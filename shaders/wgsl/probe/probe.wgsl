@@ -1,6 +1,7 @@
 // The physical functions at given points, one thread per point, for comparison with their f64 twins.
 #import skycell::shell::{altitude_m, shell_roots}
 #import skycell::scene::Proxy
+#import skycell::cubic::{softness, cubic_weights}
 #import skycell::octahedral::{octahedral_from_direction, direction_from_octahedral}
 #import skycell::phase::{phase_hg_per_sr, phase_draine_per_sr}
 #import skycell::transport::one_minus_exp_over
@@ -60,6 +61,8 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
             let texel = proxy.anchor + address * distance_from_above_m(first.w, proxy, proxy.anchor, of_anchor, address);
             value = vec4f(normalize(texel - eye), distance_m);
         }
+        // The weights of a read at first.y for a pixel of first.x texels.
+        case 9u: { value = cubic_weights(first.y, softness(first.x)); }
         default: {}
     }
     values[id.x] = value;

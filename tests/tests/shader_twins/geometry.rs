@@ -230,6 +230,62 @@ fn octahedral_twin(square: [f64; 2], sine: impl Fn(f64) -> f64) -> [f64; 3] {
     ]
 }
 
+/// Mitchell & Netravali 1988, eq. 8.
+fn mitchell_netravali(b: f64, c: f64, x: f64) -> f64 {
+    let x = x.abs();
+    let polynomial = |k: [f64; 4]| k.iter().fold(0.0, |sum, k| sum * x + k) / 6.0;
+    if x < 1.0 {
+        polynomial([
+            12.0 - 9.0 * b - 6.0 * c,
+            -18.0 + 12.0 * b + 6.0 * c,
+            0.0,
+            6.0 - 2.0 * b,
+        ])
+    } else if x < 2.0 {
+        polynomial([
+            -b - 6.0 * c,
+            6.0 * b + 30.0 * c,
+            -12.0 * b - 48.0 * c,
+            8.0 * b + 24.0 * c,
+        ])
+    } else {
+        0.0
+    }
+}
+
+#[test]
+fn reads_are_sharp_where_texels_are_as_wide_as_pixels_and_wider_where_several_make_one() {
+    let mut random = Random(8);
+    let points: Vec<Point> = (0..12_000)
+        .map(|index| {
+            let texels_per_pixel = match index % 3 {
+                0 => random.one_of(&[0.0, 0.25, 1.0, 1.0 + 1e-6, 8.0, 1e6]),
+                _ => random.between(0.0, 9.0),
+            };
+            let place = match index % 2 {
+                0 => random.one_of(&[0.0, 0.5, 1.0, 1e-6, 1.0 - 1e-6]),
+                _ => random.unit(),
+            };
+            [[texels_per_pixel as f32, place as f32, 0.0, 0.0], [0.0; 4]]
+        })
+        .collect();
+    let values = Probe::open().ask(Question::CubicWeights, &points);
+    let check = |c_of: fn(f64) -> f64| {
+        worst(points.iter().zip(&values).flat_map(|(point, value)| {
+            let [texels_per_pixel, place, _, _] = point[0].map(f64::from);
+            let soft = (0.15 * (texels_per_pixel - 1.0)).clamp(0.0, 1.0);
+            let twin =
+                move |tap: usize| mitchell_netravali(soft, c_of(soft), place + 1.0 - tap as f64);
+            // Sums of up to five terms, none beyond 4, and the rounded softness.
+            (0..4).map(move |tap| ((f64::from(value[tap]) - twin(tap)).abs(), 16.0 * U))
+        }))
+    };
+    let gpu = check(|soft| 0.5 * (1.0 - soft));
+    // The filter of the same paper that is the most used one, beside this family but for B = 1/3.
+    let defect = check(|_| 1.0 / 3.0);
+    judge("cubic filter", points.len(), gpu, defect);
+}
+
 #[test]
 fn the_octahedral_square_is_the_equal_area_map() {
     let mut random = Random(4);

@@ -66,6 +66,41 @@ fn steps_count_the_distance_in_lengths_of_steps_and_back() {
 }
 
 #[test]
+fn few_samples_of_a_texel_do_not_shift_the_picture() {
+    let probe = SceneProbe::open(&json!({"version": 1}), true);
+    let mut random = Random(23);
+    let counts = [2.0, 4.0, 6.0, 8.0];
+    let points: Vec<FieldPoint> = (0..10_000)
+        .map(|index| {
+            let place = [(); 2].map(|()| random.between(0.0, 2e4).floor() as f32);
+            [
+                [place[0], place[1], 0.0, 0.0],
+                [counts[index % 4], 0.0, 0.0, 0.0],
+                [0.0; 4],
+                [0.0; 4],
+            ]
+        })
+        .collect();
+    let values = probe.ask(FieldQuestion::SampleOffset, &points);
+    // Pairs are on opposite sides but for two sixteenths of a texel; all eight are around the middle.
+    let allowed = |count: f32| {
+        if count == 8.0 {
+            1e-6
+        } else {
+            2.0 / 16.0 / f64::from(count) + 1e-6
+        }
+    };
+    let check = |shift: f64| {
+        worst(points.iter().zip(&values).flat_map(|(point, value)| {
+            let bound = allowed(point[1][0]);
+            [0, 1].map(|axis| ((f64::from(value[0][axis]) + shift).abs(), bound))
+        }))
+    };
+    // Planted: all of them a sixteenth aside.
+    judge("sample places", points.len(), check(0.0), check(1.0 / 16.0));
+}
+
+#[test]
 fn the_depth_towards_the_sun_is_that_of_its_samples() {
     let document = json!({"version": 1, "sun": {"elevation_deg": 30}, "light": {"sun_steps": 6},
         "layers": [{"density": {"model": "weather", "coverage": 0.6}}]});
