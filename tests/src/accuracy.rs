@@ -18,6 +18,8 @@ pub struct Recipe {
     pub renderer: RendererKind,
     /// Samples of a texel or pixel.
     pub samples: u32,
+    /// Where several texels make a pixel, it is their samples together that are so many.
+    pub samples_by_area: bool,
     /// Levels by which the cache is coarser.
     pub mip_bias: f32,
     /// Steps through the layer's thickness.
@@ -33,6 +35,7 @@ impl Recipe {
         Self {
             renderer: RendererKind::ScreenSpace,
             samples: 8,
+            samples_by_area: false,
             mip_bias: 0.0,
             march_steps: 192,
             filter: FrameFilter::CatmullRom,
@@ -56,6 +59,7 @@ pub fn picture(recipe: Recipe, size: FrameSize) -> anyhow::Result<(RgbImage, u64
             ..MarchSettings::default()
         },
         samples: recipe.samples,
+        samples_by_area: recipe.samples_by_area,
         mip_bias: recipe.mip_bias,
         filter: recipe.filter,
         ..StillSettings::default()

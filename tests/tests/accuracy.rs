@@ -10,9 +10,11 @@ const FLIP_MAX: f64 = 0.0059;
 /// The same column.
 const SSIM_MIN: f64 = 0.998;
 
-/// One mip bias against the screen-space renderer.
+/// A cache against the screen-space renderer.
 struct Compared {
     bias: f32,
+    /// Texel updates for each of its rays.
+    updates_per_ray: f64,
     apart: Distance,
     /// The screen-space picture itself through an ideal filter at the cache's resolution.
     filtered: Distance,
@@ -26,38 +28,56 @@ fn through_fewer_pixels(picture: &RgbImage, mip_bias: f32) -> RgbImage {
     resize(&small, width, height, FilterType::Lanczos3)
 }
 
-/// The cache with each mip bias against the screen-space renderer, 8 samples.
-fn compare(size: [u32; 2], mip_biases: &[f32]) -> anyhow::Result<Vec<Compared>> {
+/// Caches of mip biases, with 8 samples of a texel or by area, against the screen-space renderer with 8 of a pixel.
+fn compare(size: [u32; 2], caches: &[(f32, bool)]) -> anyhow::Result<Vec<Compared>> {
     let size = FrameSize::new(size[0], size[1])?;
     let screen = Recipe::screen_space();
     let (reference, _) = picture(screen, size)?;
-    mip_biases
+    caches
         .iter()
-        .map(|&bias| {
+        .map(|&(bias, samples_by_area)| {
             let cached = Recipe {
                 renderer: RendererKind::Cached,
                 mip_bias: bias,
+                samples_by_area,
                 ..screen
             };
             let (test, texels) = picture(cached, size)?;
             let apart = distance(&reference, &test)?;
             let filtered = distance(&reference, &through_fewer_pixels(&reference, bias))?;
             let rays = u64::from(size.pixels()) * u64::from(screen.samples);
+            let updates_per_ray = texels as f64 / rays as f64;
             println!(
-                "mip bias {bias}: {apart:?}, {texels} texel updates, {:.3} of the screen-space renderer's rays; \
+                "mip bias {bias}{}: {apart:?}, {texels} texel updates, {updates_per_ray:.3} of the screen-space renderer's rays; \
                  an ideal filter at that resolution: {filtered:?}",
-                texels as f64 / rays as f64
+                if samples_by_area { ", samples by area" } else { "" },
             );
-            Ok(Compared { bias, apart, filtered })
+            Ok(Compared {
+                bias,
+                updates_per_ray,
+                apart,
+                filtered,
+            })
         })
         .collect()
 }
 
 #[test]
 fn the_cached_sky_is_as_close_to_the_screen_space_sky_as_published() -> anyhow::Result<()> {
-    let apart = compare([1280, 720], &[0.0])?[0].apart;
-    assert!(apart.flip <= FLIP_MAX, "{apart:?}");
-    assert!(apart.ssim >= SSIM_MIN, "{apart:?}");
+    let [each, by_area] = &compare([1280, 720], &[(0.0, false), (0.0, true)])?[..] else {
+        anyhow::bail!("two caches were asked for");
+    };
+    for Compared { apart, .. } in [each, by_area] {
+        assert!(apart.flip <= FLIP_MAX, "{apart:?}");
+        assert!(apart.ssim >= SSIM_MIN, "{apart:?}");
+    }
+    // Texels are half a pixel wide; the coarse level comes on top.
+    assert!(
+        by_area.updates_per_ray < 0.4 * each.updates_per_ray,
+        "{} {}",
+        by_area.updates_per_ray,
+        each.updates_per_ray
+    );
     Ok(())
 }
 
@@ -66,7 +86,9 @@ fn the_cached_sky_is_as_close_to_the_screen_space_sky_as_published() -> anyhow::
 #[test]
 #[ignore = "slower suite: deploy/test --full"]
 fn each_step_of_mip_bias_costs_accuracy() -> anyhow::Result<()> {
-    let measured = compare([1920, 1080], &[0.0, 1.0, 2.0, 3.0])?;
+    let caches = [0.0, 1.0, 2.0, 3.0].map(|bias| (bias, false));
+    compare([1920, 1080], &[(0.0, true)])?;
+    let measured = compare([1920, 1080], &caches)?;
     for pair in measured.windows(2) {
         let [finer, coarser] = [pair[0].apart, pair[1].apart];
         assert!(

@@ -44,11 +44,16 @@ pub fn coarsened(requests: &[TileRequest], lost: u8) -> Vec<TileRequest> {
         let seen = covering.entry(key).or_insert(TileRequest {
             key,
             screen_share: 0.0,
+            texel_pixels: 0.0,
             ..*request
         });
         seen.eccentricity_rad = seen.eccentricity_rad.min(request.eccentricity_rad);
         seen.distance_m = seen.distance_m.min(request.distance_m);
         seen.screen_share += request.screen_share;
+        // Texels of a level have the area of four of the next.
+        let texel_pixels =
+            request.texel_pixels * 4f64.powi(i32::from(request.key.level - key.level));
+        seen.texel_pixels = seen.texel_pixels.max(texel_pixels);
     }
     let mut covering: Vec<TileRequest> = covering.into_values().collect();
     covering.sort_unstable_by_key(|request| request.key);

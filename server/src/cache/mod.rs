@@ -5,6 +5,7 @@ mod address;
 mod budget;
 mod pool;
 mod requests;
+mod samples;
 mod sphere;
 
 pub use address::{
@@ -19,6 +20,7 @@ pub use requests::{
     Band, ProxySphere, TileRequest, ViewFrustum, coarse_tiles, requested_by_eyes, requested_tiles,
     seen_blocks,
 };
+pub use samples::TexelSamples;
 pub use sphere::{AgeingRates, LAG_RAD, NO_TILE, PageTables, SphereCache, Want};
 
 use glam::{DVec2, DVec3};
@@ -64,7 +66,7 @@ pub struct TileUpdate {
 pub struct Caches {
     pool: SlotPool,
     spheres: BTreeMap<SphereId, SphereCache>,
-    samples: u32,
+    samples: TexelSamples,
     frame: u64,
     evicted: u64,
     refused: u64,
@@ -86,7 +88,7 @@ impl Caches {
         Self {
             pool: SlotPool::new(tiles_max),
             spheres: BTreeMap::new(),
-            samples: samples.max(1),
+            samples: TexelSamples::each(samples),
             frame: 0,
             evicted: 0,
             refused: 0,
@@ -435,18 +437,18 @@ impl Caches {
 
     /// Samples that a sphere's texels average.
     #[must_use]
-    pub fn samples_of(&self, sphere: &SphereCache) -> u32 {
+    pub fn samples_of(&self, sphere: &SphereCache) -> TexelSamples {
         sphere.samples().unwrap_or(self.samples)
     }
 
     /// Another number of samples that a texel averages.
-    pub fn set_samples(&mut self, samples: u32) {
-        self.samples = samples.max(1);
+    pub fn set_samples(&mut self, samples: TexelSamples) {
+        self.samples = samples;
     }
 
     /// Samples that a texel averages.
     #[must_use]
-    pub fn samples(&self) -> u32 {
+    pub fn samples(&self) -> TexelSamples {
         self.samples
     }
 

@@ -354,6 +354,8 @@ pub struct TileRequest {
     pub distance_m: f64,
     /// Share of the picture that it would cover if all of it were inside, 0 to 1; 0 where nobody looks at it.
     pub screen_share: f64,
+    /// Pixels that one of its texels covers in the picture.
+    pub texel_pixels: f64,
 }
 
 /// The tiles that a viewer needs of one sphere, none twice, none covering another.
@@ -387,6 +389,7 @@ pub fn requested_tiles(
                 eccentricity_rad: seen.axis.angle_between(view.forward),
                 distance_m: seen.distance_m,
                 screen_share: (TILE_PIXELS * texel_sr / pixel_sr / picture_pixels).min(1.0),
+                texel_pixels: texel_sr / pixel_sr,
             });
         }
     }
@@ -433,6 +436,7 @@ pub fn requested_by_eyes(of_eyes: impl IntoIterator<Item = Vec<TileRequest>>) ->
                     known.eccentricity_rad = known.eccentricity_rad.min(request.eccentricity_rad);
                     known.distance_m = known.distance_m.min(request.distance_m);
                     known.screen_share = known.screen_share.max(request.screen_share);
+                    known.texel_pixels = known.texel_pixels.max(request.texel_pixels);
                 }
                 None => all.push(request),
             }
@@ -453,6 +457,7 @@ pub fn coarse_tiles(sphere: &ProxySphere, eye: DVec3) -> Vec<TileRequest> {
                 eccentricity_rad: std::f64::consts::FRAC_PI_2 - seen.axis.y.clamp(-1.0, 1.0).asin(),
                 distance_m: seen.distance_m,
                 screen_share: 0.0,
+                texel_pixels: 0.0,
             })
         })
         .collect()

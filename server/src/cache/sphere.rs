@@ -9,6 +9,7 @@ pub use expected::{AgeingRates, LAG_RAD};
 use super::address::{LEVELS, TileKey};
 use super::pool::Slot;
 use super::requests::TileRequest;
+use super::samples::TexelSamples;
 use glam::DVec3;
 use skycell_protocol::show::{AGE_HIGH_S, AGE_LOW_S};
 use std::collections::HashMap;
@@ -122,6 +123,8 @@ pub struct Want {
     pub distance_m: f64,
     /// How much it is seen: the sum of its shares of pictures, those in their middles counting most.
     pub attention: f64,
+    /// Pixels that one of its texels covers, of the viewer who has most of them under it.
+    pub texel_pixels: f64,
 }
 
 /// At this angle from the middle of a picture, rad, a tile is looked at half as much.
@@ -130,13 +133,6 @@ const ATTENTION_RAD: f64 = 0.35;
 /// How much a tile is seen by the viewer who asks for it.
 fn attention(request: &TileRequest) -> f64 {
     request.screen_share / (1.0 + (request.eccentricity_rad / ATTENTION_RAD).powi(2))
-}
-
-impl Want {
-    /// Samples that the tile should average: one where it only fills in for tiles that are not there yet.
-    fn samples(&self, samples: u32) -> u32 {
-        if self.viewers == 0 { 1 } else { samples }
-    }
 }
 
 /// How urgent an update is: smaller first.
@@ -223,7 +219,7 @@ pub struct SphereCache {
     /// The sky's way so far, in steps that are just not seen.
     moved: f64,
     /// Samples that texels average, if not as many as those of all spheres.
-    samples: Option<u32>,
+    samples: Option<TexelSamples>,
     /// While it ages all the time, a tile is marched again when it is so many times as far behind as it otherwise may be.
     age_factor: Option<f64>,
     /// Whether tables must be made anew.
@@ -271,13 +267,13 @@ impl SphereCache {
     }
 
     /// Another number of samples that its texels average. More are added to those that are there.
-    pub fn set_samples(&mut self, samples: u32) {
-        self.samples = Some(samples.max(1));
+    pub fn set_samples(&mut self, samples: TexelSamples) {
+        self.samples = Some(samples);
     }
 
     /// Samples that its texels average, if that was said.
     #[must_use]
-    pub fn samples(&self) -> Option<u32> {
+    pub fn samples(&self) -> Option<TexelSamples> {
         self.samples
     }
 
@@ -301,6 +297,7 @@ impl SphereCache {
                     eccentricity_rad: request.eccentricity_rad,
                     distance_m: request.distance_m,
                     attention: 0.0,
+                    texel_pixels: 0.0,
                 },
             );
         }
@@ -310,10 +307,12 @@ impl SphereCache {
                 eccentricity_rad: f64::INFINITY,
                 distance_m: request.distance_m,
                 attention: 0.0,
+                texel_pixels: 0.0,
             });
             want.viewers += 1;
             want.eccentricity_rad = want.eccentricity_rad.min(request.eccentricity_rad);
             want.attention += attention(request);
+            want.texel_pixels = want.texel_pixels.max(request.texel_pixels);
             // What stands for it until it is there is seen as much.
             if request.key.level > 0
                 && let Some(coarse) = self.wanted.get_mut(&request.key.coarser(LEVELS))
@@ -367,20 +366,29 @@ impl SphereCache {
         })
     }
 
-    /// Samples that are missing until every wanted tile has `samples` and shows the present sky, in tiles.
+    /// Samples that all wanted tiles should have together.
     #[must_use]
-    pub fn pending_samples(&self, samples: u32) -> u64 {
+    pub fn wanted_samples(&self, samples: TexelSamples) -> u64 {
+        self.wanted
+            .values()
+            .map(|want| u64::from(samples.of(want)))
+            .sum()
+    }
+
+    /// Samples that are missing until every wanted tile has its own and shows the present sky, in tiles.
+    #[must_use]
+    pub fn pending_samples(&self, samples: TexelSamples) -> u64 {
         self.wanted
             .iter()
             .map(|(key, want)| {
                 let have = self.samples_of(key).unwrap_or(0);
-                let missing = u64::from(want.samples(samples).saturating_sub(have));
+                let missing = u64::from(samples.of(want).saturating_sub(have));
                 let Some(tile) = self.tiles.get(key) else {
                     return missing;
                 };
                 let behind = tile.behind(self.moved) > behind_max(true, want);
                 if missing == 0 && (tile.resampled || self.is_aged_at_rest(tile, want)) {
-                    return u64::from(want.samples(samples));
+                    return u64::from(samples.of(want));
                 }
                 missing.max(u64::from(behind))
             })
@@ -408,11 +416,13 @@ impl SphereCache {
 
     /// Tiles that viewers want, that show the present scene and have all their samples, in a fixed order.
     #[must_use]
-    pub fn settled(&self, samples: u32) -> Vec<(TileKey, Slot)> {
+    pub fn settled(&self, samples: TexelSamples) -> Vec<(TileKey, Slot)> {
         let mut settled: Vec<(TileKey, Slot)> = self
             .wanted
             .iter()
-            .filter(|(key, want)| want.viewers > 0 && self.samples_of(key) >= Some(samples))
+            .filter(|(key, want)| {
+                want.viewers > 0 && self.samples_of(key) >= Some(samples.of(want))
+            })
             .filter_map(|(key, _)| Some((*key, self.tiles.get(key)?.slot)))
             .collect();
         settled.sort_unstable_by_key(|(key, _)| *key);
@@ -422,7 +432,7 @@ impl SphereCache {
     /// Updates that would gain something.
     pub(super) fn candidates(
         &self,
-        samples: u32,
+        samples: TexelSamples,
         reference: DVec3,
         is_calm: bool,
         into: &mut Vec<Candidate>,
@@ -431,7 +441,7 @@ impl SphereCache {
             let coarse = key.level == 0;
             let tile = self.tiles.get(key);
             let have = self.samples_of(key).unwrap_or(0);
-            let samples = want.samples(samples);
+            let samples = samples.of(want);
             let urgency = match tile {
                 None if coarse => Urgency::Coarse,
                 None => Urgency::Missing,
@@ -495,12 +505,13 @@ impl SphereCache {
     pub(super) fn sample(
         &mut self,
         key: TileKey,
-        samples: u32,
+        samples: TexelSamples,
         reference: DVec3,
     ) -> Option<Sample> {
         let want = self.wanted.get(&key).copied();
         let distance_m = want.map_or(1.0, |want| want.distance_m);
-        let owed = want.map_or(samples, |want| want.samples(samples));
+        let owed = want.map_or(samples.most, |want| samples.of(&want));
+        let samples = samples.most;
         let old = self.tiles.get(&key)?;
         let age = self.age_steps(old, reference, distance_m);
         let behind_m = self.behind_m(old, reference);

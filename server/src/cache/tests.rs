@@ -13,6 +13,7 @@ fn request(key: TileKey) -> TileRequest {
         eccentricity_rad: 0.1,
         distance_m: 3_000.0,
         screen_share: 0.1,
+        texel_pixels: 1.0,
     }
 }
 
@@ -139,7 +140,11 @@ fn after_a_jump_what_is_old_weighs_a_seventeenth_at_most_or_is_a_pixel_off() {
             mixture.take(&update, jump_m);
             samples += 1;
             let sphere = caches.sphere(SPHERE).expect("there");
-            assert_eq!(sphere.pending_samples(8), 8 - samples, "{distance_m}");
+            assert_eq!(
+                sphere.pending_samples(TexelSamples::each(8)),
+                8 - samples,
+                "{distance_m}"
+            );
         }
         let angle = 1500.0 / distance_m / sphere::AGE_STEP_RAD;
         let old = mixture.share_from(DVec3::ZERO);
@@ -488,7 +493,7 @@ fn a_sky_that_moves_mixes_its_tiles_towards_the_present_and_then_rests() {
     caches.set_calm(true);
     assert_eq!(updates_until_converged(&mut caches), 2 * 10);
     let sphere = caches.sphere(SPHERE).expect("there");
-    assert_eq!(sphere.pending_samples(8), 0);
+    assert_eq!(sphere.pending_samples(TexelSamples::each(8)), 0);
 }
 
 #[test]

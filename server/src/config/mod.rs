@@ -148,6 +148,9 @@ pub struct RenderConfig {
     /// Most places along a ray at which viewers away from a reference look for what texels show. Without: what the quality
     /// says, and less on a software driver.
     pub parallax_steps: Option<u32>,
+    /// Where several texels make a pixel, it is their samples together that are as many as the pixel's; what the quality sets
+    /// without.
+    pub samples_by_area: Option<bool>,
     /// What layers are kept on: keys `proxies`, `slabs`, `bands`, `band_ends` and `dome_follow_m`.
     pub proxies: ProxySettings,
     /// Where noise volumes are kept between runs.
@@ -197,6 +200,7 @@ impl RenderConfig {
             march_steps: None,
             frame_filter: None,
             parallax_steps: None,
+            samples_by_area: None,
             proxies: ProxySettings::default(),
             grids_dir: noise_cache_dir.join("grids"),
             maps_dir: noise_cache_dir.join("maps"),
@@ -209,6 +213,7 @@ impl RenderConfig {
         members.only(&[
             "mip_bias",
             "samples",
+            "samples_by_area",
             "quality",
             "cache_memory_mib",
             "cell_memory_mib",
@@ -232,6 +237,9 @@ impl RenderConfig {
                 Some(samples) => Some(SAMPLES.check_u32(&members.pointer_of("samples"), samples)?),
                 None => default.samples,
             },
+            samples_by_area: members
+                .optional("samples_by_area")?
+                .or(default.samples_by_area),
             quality: members.optional("quality")?.or(default.quality),
             cache_memory_mib: count(
                 &members,

@@ -64,6 +64,7 @@ const KEYS: &[(&str, Kind)] = &[
     ("render/march_steps", Kind::Number),
     ("render/frame_filter", Kind::Text),
     ("render/parallax_steps", Kind::Number),
+    ("render/samples_by_area", Kind::JsonOrText),
     ("render/proxies", Kind::Text),
     ("render/slabs", Kind::Number),
     ("render/bands", Kind::Number),

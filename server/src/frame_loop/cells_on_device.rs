@@ -4,7 +4,7 @@ use super::metering::Meter;
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
 use crate::cache::{
-    Band, LAG_RAD, ProxySphere, SphereId, TileRequest, Wish, coarse_tiles, coarsened,
+    Band, LAG_RAD, ProxySphere, SphereId, TexelSamples, TileRequest, Wish, coarse_tiles, coarsened,
     requested_by_eyes, requested_tiles,
 };
 use crate::composite::view_frustum;
@@ -70,7 +70,7 @@ pub(super) struct ActiveCell {
     /// How its rays are marched.
     pub(super) settings: MarchSettings,
     /// Jittered samples that its texels average.
-    pub(super) samples: u32,
+    pub(super) samples: TexelSamples,
     /// When its caches began.
     begun: Instant,
     /// Requests or reference have changed since the caches were told.
@@ -587,7 +587,7 @@ impl SkyRenderer {
                     cell: id,
                     proxy: proxy as u32,
                 });
-                sphere.set_samples(rate.samples(cell.samples));
+                sphere.set_samples(cell.samples.with_most(rate.samples(cell.samples.most)));
                 sphere.set_age_factor(age_factor);
                 sphere.set_wanted(if used { coarse } else { &[] }, requests);
             }
@@ -673,8 +673,7 @@ impl SkyRenderer {
         for id in self.active_cells.keys() {
             for (_, sphere) in self.caches.spheres_of(*id) {
                 let samples = self.caches.samples_of(sphere);
-                let (_, unique) = sphere.requested_and_unique();
-                wanted += unique * u64::from(samples) + sphere.coarse_only();
+                wanted += sphere.wanted_samples(samples);
                 pending += sphere.pending_samples(samples);
             }
         }

@@ -5,6 +5,7 @@ use super::cells_on_device::ActiveCell;
 use super::interface::{AskedBy, QualityStats, ViewRequest};
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
+use crate::cache::TexelSamples;
 use crate::cells::ErrorCurves;
 use crate::config::RenderConfig;
 use crate::gpu::TimedPass;
@@ -105,6 +106,7 @@ impl Qualities {
             overrides: QualityOverrides {
                 march_steps: config.march_steps,
                 samples: config.samples,
+                samples_by_area: config.samples_by_area,
                 mip_bias: config.mip_bias.map(f64::from),
                 frame_filter: config.frame_filter,
                 parallax_steps: config
@@ -198,7 +200,8 @@ impl SkyRenderer {
             sun_steps: self.settings.sun_steps,
             sun_depth: self.settings.sun_depth,
             octaves: self.settings.octaves,
-            samples: self.caches.samples(),
+            samples: self.caches.samples().most,
+            samples_by_area: self.caches.samples().by_area,
             mip_bias: self.mip_bias,
             frame_filter: self.frame_filter,
             parallax_steps: self.parallax_steps,
@@ -304,7 +307,10 @@ impl SkyRenderer {
             self.caches.age_cell(id);
         }
         cell.settings = settings;
-        cell.samples = finest.samples;
+        cell.samples = TexelSamples {
+            most: finest.samples,
+            by_area: finest.samples_by_area,
+        };
     }
 
     /// Gives those who ask for an error the limit that keeps it, by the measured curve. Where nobody asks, and for what a
@@ -384,8 +390,10 @@ impl SkyRenderer {
         }
         let composite_ms = self.qualities.composite.ms?;
         let samples = self.active_cells.get(&viewer.cell)?.samples;
-        let tiles: usize = viewer.requests.iter().map(Vec::len).sum();
-        let view_ms = tiles as f64 * f64::from(samples) * self.qualities.tile.ms.unwrap_or(0.0);
+        let updates: u64 = (viewer.requests.iter().flatten())
+            .map(|request| u64::from(samples.of_texel(request.texel_pixels)))
+            .sum();
+        let view_ms = updates as f64 * self.qualities.tile.ms.unwrap_or(0.0);
         Some(FrameCost {
             composite_ms: composite_ms * f64::from(viewer.view.picture_size().pixels())
                 / pixels_mean,

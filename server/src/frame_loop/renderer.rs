@@ -15,7 +15,7 @@ use super::sun_volumes::{SunVolumes, asks_for_volume};
 use super::transitions::TransitionCounters;
 use super::viewers_on_device::ActiveViewer;
 use crate::atmosphere::{AirKeeper, AirViews, cloud_shadows_key, make_shafts_key, table_keys};
-use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE};
+use crate::cache::{BYTES_PER_TEXEL, Caches, TEXELS_PER_TILE, TexelSamples};
 use crate::cells::{CellLimit, Cells};
 use crate::clock;
 use crate::composite::{
@@ -151,7 +151,10 @@ impl SkyRenderer {
         }
         let qualities = Qualities::new(&config, gpu.is_software());
         let base = qualities.default_settings();
-        caches.set_samples(base.samples);
+        caches.set_samples(TexelSamples {
+            most: base.samples,
+            by_area: base.samples_by_area,
+        });
         let mut renderer = Self {
             atlas: Atlas::new(&gpu),
             texel_march: TexelMarch::new(&gpu),

@@ -113,7 +113,7 @@ fn cell_stats(renderer: &SkyRenderer, id: CellId) -> CellStats {
     };
     if let Some(active) = renderer.active_cells.get(&id) {
         stats.march_steps = active.settings.steps;
-        stats.samples = renderer.losses.rate().samples(active.samples);
+        stats.samples = renderer.losses.rate().samples(active.samples.most);
         (stats.tiles_wished, stats.levels_lost) = (active.wish.tiles(0), active.lost);
         stats.auto_exposure_ev = active.auto_exposure_ev();
     }

@@ -7,7 +7,7 @@ use super::still_frames::cell_around;
 use super::still_settings::{LayerFigures, RayFigures, RayPicture};
 use super::still_settings::{StillFigures, StillPicture, StillSettings};
 use crate::atmosphere::ShaftShares;
-use crate::cache::{BYTES_PER_TEXEL, TEXELS_PER_TILE};
+use crate::cache::{BYTES_PER_TEXEL, TEXELS_PER_TILE, TexelSamples};
 use crate::cells::{CellLimit, Cells};
 use crate::composite::{Picture, composite_key, ground_key, shown_of};
 use crate::config::{PlacedCell, RenderConfig};
@@ -482,7 +482,7 @@ impl StillRenderer {
             }
         }
         if screen_space {
-            let samples = f64::from(renderer.caches.samples());
+            let samples = f64::from(renderer.caches.samples().most);
             let mut done = 0.0;
             while renderer.screen_space_pending(VIEWER) {
                 done += f64::from(u8::from(renderer.march_screen_space(VIEWER, STRIP_NS)));
@@ -577,7 +577,10 @@ impl Start {
         // Each picture pays for its own.
         renderer.sun.clear();
         renderer.shafts.clear();
-        renderer.caches.set_samples(settings.samples);
+        renderer.caches.set_samples(TexelSamples {
+            most: settings.samples.max(1),
+            by_area: settings.samples_by_area,
+        });
         renderer.mip_bias = f64::from(settings.mip_bias);
         renderer.parallax_steps = settings.parallax_steps;
         renderer.kept_on = settings.kept_on().checked()?;

@@ -19,6 +19,8 @@ pub struct StillSettings {
     pub march: MarchSettings,
     /// Samples of a texel or pixel, 1 to 16.
     pub samples: u32,
+    /// Where several texels make a pixel, it is their samples together that are so many.
+    pub samples_by_area: bool,
     /// The screen-space renderer spreads the picture over frames; without, it sums samples up.
     pub window: Option<WindowPlan>,
     /// Frames that a window has slid over when the picture is taken; at least one.
@@ -65,6 +67,7 @@ impl Default for StillSettings {
             renderer: RendererKind::Cached,
             march: MarchSettings::default(),
             samples: 8,
+            samples_by_area: false,
             window: None,
             frames: 1,
             resting_frames: 1,

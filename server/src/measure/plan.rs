@@ -475,6 +475,10 @@ fn front_seeds(extent: Extent) -> Vec<PlannedPoint> {
         filter,
         ..PointSettings::cached(steps, samples, mip_bias)
     };
+    let by_area = |settings| PointSettings {
+        samples_by_area: true,
+        ..settings
+    };
     let seeds = [
         seed(32, 4, 2.0, 4, Bilinear),
         seed(64, 8, 1.0, 6, Bilinear),
@@ -483,10 +487,13 @@ fn front_seeds(extent: Extent) -> Vec<PlannedPoint> {
         seed(128, 8, 0.0, 8, CatmullRom),
         seed(128, 8, 0.0, 16, CatmullRom),
         seed(512, 8, 0.0, 32, CatmullRom),
+        by_area(seed(64, 8, 0.0, 12, CatmullRom)),
+        by_area(seed(128, 8, 0.0, 16, CatmullRom)),
+        by_area(seed(512, 8, 0.0, 32, CatmullRom)),
     ];
     seeds
         .into_iter()
-        .take(extent.pick(2, 7, 7))
+        .take(extent.pick(2, 10, 10))
         .map(|settings| front_point(&settings))
         .collect()
 }
@@ -497,8 +504,13 @@ pub fn front_point(settings: &PointSettings) -> PlannedPoint {
     let from_scene = |value: Option<u32>| value.map_or("scene's".to_owned(), |n| n.to_string());
     let marched = match settings.renderer {
         RendererKind::Cached => format!(
-            "bias {} {}",
+            "bias {}{} {}",
             settings.mip_bias,
+            if settings.samples_by_area {
+                " by area"
+            } else {
+                ""
+            },
             filter_name(settings.filter)
         ),
         RendererKind::ScreenSpace => format!("1/{} sides", settings.resolution_divisor),
@@ -571,6 +583,10 @@ pub fn neighbours(point: &PointSettings, scene_sun_steps: u32) -> Vec<PointSetti
         FrameFilter::Bilinear => FrameFilter::CatmullRom,
     };
     near.push(PointSettings { filter, ..*point });
+    near.push(PointSettings {
+        samples_by_area: !point.samples_by_area,
+        ..*point
+    });
     near
 }
 
@@ -643,10 +659,11 @@ mod tests {
     fn neighbours_differ_by_one_setting() {
         let point = PointSettings::cached(64, 8, 1.0);
         let near = neighbours(&point, 6);
-        assert_eq!(near.len(), 10);
+        assert_eq!(near.len(), 11);
         for other in near {
             let changed = u32::from(other.steps != point.steps)
                 + u32::from(other.samples != point.samples)
+                + u32::from(other.samples_by_area != point.samples_by_area)
                 + u32::from(other.mip_bias != point.mip_bias)
                 + u32::from(other.sun_steps != point.sun_steps)
                 + u32::from(other.sun_depth != point.sun_depth)

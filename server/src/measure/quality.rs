@@ -36,6 +36,9 @@ pub fn quality_file(report: &Report, scene: &Scene) -> Value {
         })
         .collect();
     let size = report.run.size;
+    // Scenes are measured as they are at a moment.
+    let default = Scene::default();
+    let is_default = [&default, &default.at_sky_s(0.0)].contains(&scene);
     json!({
         "version": 1,
         "measured_with": format!(
@@ -43,7 +46,7 @@ pub fn quality_file(report: &Report, scene: &Scene) -> Value {
             report.run.adapter,
             size.width(),
             size.height(),
-            if *scene == Scene::default() { "default scene" } else { "a scene of its own" },
+            if is_default { "default scene" } else { "a scene of its own" },
             report.run.reference,
         ),
         "points": points,
@@ -62,6 +65,7 @@ fn quality_point(
         sun_depth,
         octaves,
         samples,
+        samples_by_area,
         mip_bias,
         filter,
         ..
@@ -85,6 +89,7 @@ fn quality_point(
             // How many terms of the sum there are is the scene's to say: another number is another sky.
             "octaves": octaves,
             "samples": samples,
+            "samples_by_area": samples_by_area,
             "mip_bias": mip_bias,
             "frame_filter": filter,
         },

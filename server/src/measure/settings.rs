@@ -53,6 +53,9 @@ pub struct PointSettings {
     pub exact_interpolation: bool,
     /// Samples of a pixel or texel.
     pub samples: u32,
+    /// Where several texels make a pixel, it is their samples together that are so many (cached).
+    #[serde(default)]
+    pub samples_by_area: bool,
     /// Frames over which the samples are spread: a frame costs the picture's cost divided by this.
     pub window_frames: u32,
     /// Parts into which a window shares out the steps: a frame takes one (screen-space).
@@ -89,6 +92,7 @@ impl PointSettings {
             adaptive_step: true,
             exact_interpolation: false,
             samples,
+            samples_by_area: false,
             window_frames: 1,
             depth_segments: 1,
             refinement: 1,
@@ -133,6 +137,7 @@ impl PointSettings {
                 ..MarchSettings::default()
             },
             samples: self.samples,
+            samples_by_area: self.samples_by_area,
             show: skycell_protocol::Show::Picture,
             stereo: None,
             codec: skycell_protocol::Codec::Png,
@@ -169,6 +174,7 @@ impl PointSettings {
             sun_depth: self.sun_depth,
             octaves: self.octaves,
             filter: self.filter,
+            samples_by_area: self.samples_by_area,
             ..Self::cached(self.steps, self.samples, self.mip_bias)
         };
         *self == served
@@ -198,6 +204,7 @@ impl PointSettings {
         let area = match self.renderer {
             RendererKind::ScreenSpace => f64::from(self.resolution_divisor).powi(-2),
             // Texels are finer than pixels, whole tiles are marched, and the coarse level always is.
+            RendererKind::Cached if self.samples_by_area && self.mip_bias < 0.5 => 2.0,
             RendererKind::Cached => 4.0 * f64::from(-2.0 * self.mip_bias).exp2() + 1.0,
         };
         let sun = 1.0 + f64::from(self.sun_steps.unwrap_or(6)) / 6.0;

@@ -24,6 +24,9 @@ pub struct QualitySettings {
     pub octaves: Option<u32>,
     /// Jittered samples that a texel averages, 1 to 16.
     pub samples: u32,
+    /// Where several texels make a pixel, it is their samples together that are so many.
+    #[serde(default)]
+    pub samples_by_area: bool,
     /// Halvings of the cache's resolution below the screen's, 0 to 4.
     pub mip_bias: f64,
     /// How frames read the cache.
@@ -51,6 +54,7 @@ impl Default for QualitySettings {
             sun_depth: None,
             octaves: None,
             samples: 8,
+            samples_by_area: false,
             mip_bias: 0.0,
             frame_filter: FrameFilter::CatmullRom,
             parallax_steps: default_parallax_steps(),
@@ -90,6 +94,7 @@ impl QualitySettings {
             },
             octaves: more(self.octaves, other.octaves, scene_octaves),
             samples: self.samples.max(other.samples),
+            samples_by_area: self.samples_by_area && other.samples_by_area,
             ..self
         }
     }
@@ -102,6 +107,8 @@ pub struct QualityOverrides {
     pub march_steps: Option<u32>,
     /// `render.samples`
     pub samples: Option<u32>,
+    /// `render.samples_by_area`
+    pub samples_by_area: Option<bool>,
     /// `render.mip_bias`
     pub mip_bias: Option<f64>,
     /// `render.frame_filter`
@@ -117,6 +124,7 @@ impl QualityOverrides {
         QualitySettings {
             march_steps: self.march_steps.unwrap_or(settings.march_steps),
             samples: self.samples.unwrap_or(settings.samples),
+            samples_by_area: self.samples_by_area.unwrap_or(settings.samples_by_area),
             mip_bias: self.mip_bias.unwrap_or(settings.mip_bias),
             frame_filter: self.frame_filter.unwrap_or(settings.frame_filter),
             parallax_steps: self.parallax_steps.unwrap_or(settings.parallax_steps),
@@ -135,12 +143,14 @@ mod tests {
             march_steps: 32,
             sun_steps: Some(3),
             samples: 16,
+            samples_by_area: true,
             mip_bias: 2.0,
             ..QualitySettings::default()
         };
         let fine = QualitySettings::default();
         let both = draft.finest_march(&fine, 6, 4);
         assert_eq!((both.march_steps, both.samples), (128, 16));
+        assert!(!both.samples_by_area);
         assert_eq!((both.sun_steps, both.mip_bias), (None, 2.0));
         let alone = draft.finest_march(&draft, 6, 4);
         assert_eq!(alone, draft);

@@ -7,6 +7,7 @@ fn square(level: u8, corner: u16, side: u16) -> Vec<TileRequest> {
         eccentricity_rad: 0.1,
         distance_m: 2_000.0,
         screen_share: 0.01,
+        texel_pixels: 1.0,
     };
     (0..side)
         .flat_map(|y| (0..side).map(move |x| tile(corner + x, corner + y)))

@@ -161,6 +161,7 @@ impl SphereCache {
 
 #[cfg(test)]
 mod tests {
+    use crate::cache::TexelSamples;
     use crate::cache::{Caches, SphereId, TileKey, TileRequest};
     use glam::{DVec2, DVec3};
     use skycell_protocol::CellId;
@@ -177,6 +178,7 @@ mod tests {
             eccentricity_rad: 0.1,
             distance_m: 2_000.0,
             screen_share: 0.1,
+            texel_pixels: 1.0,
         }
     }
 
@@ -233,7 +235,11 @@ mod tests {
         assert_eq!(filled, 29);
         let sphere = caches.sphere_mut(SPHERE);
         assert!((5..9).all(|x| sphere.shows_present(&TileKey { level: 1, x, y: 4 })));
-        assert_eq!(sphere.settled(SAMPLES).len(), 4, "with all samples");
+        assert_eq!(
+            sphere.settled(TexelSamples::each(SAMPLES)).len(),
+            4,
+            "with all samples"
+        );
         assert!(sphere.take_tables_changed());
         // One for the coarse level, all for what viewers see; the first weighs a third.
         let first = caches.plan(1, |_| Some(DVec3::ZERO));

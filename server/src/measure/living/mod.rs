@@ -71,6 +71,9 @@ pub struct LivingArguments {
     /// Samples of a texel, and of a pixel of the pictures that are compared with.
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=16))]
     pub samples: u32,
+    /// Where several texels make a pixel, it is their samples together that are so many.
+    #[arg(long)]
+    pub samples_by_area: bool,
     /// Most places at which a viewer looks for what texels show; 0: on the spheres alone.
     #[arg(long)]
     pub parallax_steps: Option<u32>,
@@ -118,6 +121,8 @@ pub struct LivingReport {
     pub steps: u32,
     /// Samples of a texel.
     pub samples: u32,
+    /// Where several texels make a pixel, of these together.
+    pub samples_by_area: bool,
     /// Texels marched until nothing was left to do, before time began.
     pub texels_at_start: u64,
     /// Texels marched while it passed.
@@ -209,6 +214,7 @@ impl LivingArguments {
                 ..MarchSettings::default()
             },
             samples: self.samples,
+            samples_by_area: self.samples_by_area,
             mip_bias: self.mip_bias,
             filter: FrameFilter::CatmullRom,
             parallax_steps: self.parallax_steps.unwrap_or_else(default_parallax_steps),
@@ -366,6 +372,7 @@ fn measured(arguments: &LivingArguments) -> anyhow::Result<LivingReport> {
         mip_bias: arguments.mip_bias,
         steps: arguments.steps,
         samples: arguments.samples,
+        samples_by_area: arguments.samples_by_area,
         texels_at_start,
         texels,
         rays,

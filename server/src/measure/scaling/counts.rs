@@ -3,8 +3,8 @@
 
 use super::views::RingSetup;
 use crate::cache::{
-    BYTES_PER_TEXEL, ProxySphere, TEXELS_PER_TILE, TileKey, Wish, coarse_tiles, requested_tiles,
-    seen_blocks,
+    BYTES_PER_TEXEL, ProxySphere, SphereCache, TEXELS_PER_TILE, TexelSamples, TileKey, Wish,
+    coarse_tiles, requested_tiles, seen_blocks,
 };
 use crate::composite::view_frustum;
 use crate::march::{CellFrame, Surface, active_layers};
@@ -39,6 +39,8 @@ pub struct RingCount {
     pub tiles_coarse: u64,
     /// Texels of these tiles for each pixel of all pictures.
     pub texels_per_pixel: f64,
+    /// Their samples for each sample of a pixel, where texels that make a pixel together have them by area.
+    pub samples_per_pixel: f64,
     /// Those of them in blocks of 8 × 8 that somebody sees or reads beside that.
     pub seen_per_pixel: f64,
     /// Share of the pictures above the horizon: a ray below it finds nothing and costs nothing.
@@ -75,7 +77,11 @@ pub fn count(setup: &RingSetup, across_deg: f64, scene: &Scene) -> anyhow::Resul
             band: None,
         })
         .collect();
-    let (mut tiles, mut tiles_coarse, mut blocks) = (0, 0, 0);
+    let by_area = TexelSamples {
+        most: setup.samples,
+        by_area: true,
+    };
+    let (mut tiles, mut tiles_coarse, mut blocks, mut samples) = (0, 0, 0, 0);
     let mut wish = Wish::default();
     for sphere in &spheres {
         let mut seen: BTreeMap<TileKey, u64> = BTreeMap::new();
@@ -89,6 +95,9 @@ pub fn count(setup: &RingSetup, across_deg: f64, scene: &Scene) -> anyhow::Resul
         }
         let coarse = coarse_tiles(sphere, at);
         wish.add(&coarse, &requests);
+        let mut cache = SphereCache::default();
+        cache.set_wanted(&coarse, &requests);
+        samples += cache.wanted_samples(by_area) - cache.coarse_only();
         let beside = coarse.iter().filter(|tile| !seen.contains_key(&tile.key));
         tiles += seen.len() as u64;
         tiles_coarse += beside.count() as u64;
@@ -118,6 +127,7 @@ pub fn count(setup: &RingSetup, across_deg: f64, scene: &Scene) -> anyhow::Resul
         tiles,
         tiles_coarse,
         texels_per_pixel: (tiles * TEXELS_PER_TILE) as f64 / pixels,
+        samples_per_pixel: (samples * TEXELS_PER_TILE) as f64 / (pixels * f64::from(setup.samples)),
         seen_per_pixel: (blocks * TEXELS_PER_BLOCK) as f64 / pixels,
         sky_share: sky as f64 / f64::from(LOOKS * LOOKS) / f64::from(setup.viewers),
         bytes: wish.tiles(0) * TILE_BYTES,
@@ -129,12 +139,12 @@ pub fn count(setup: &RingSetup, across_deg: f64, scene: &Scene) -> anyhow::Resul
 #[must_use]
 pub fn table(counts: &[RingCount]) -> String {
     let mut text = String::from(
-        "                                                 texels            seen blocks alone  memory, MB\n\
-         picture    bias  viewers  across  overlap  tiles  a pixel  of sky  a pixel  of sky    all  a level lost\n",
+        "                                                 texels           samples  seen blocks alone  memory, MB\n\
+         picture    bias  viewers  across  overlap  tiles  a pixel  of sky  by area  a pixel  of sky    all  a level lost\n",
     );
     for count in counts {
         text.push_str(&format!(
-            "{:<9}  {:>4}  {:>7}  {:>5.1}°  {:>5.0} %  {:>5}  {:>7.2}  {:>6.2}  {:>7.2}  {:>6.2}  {:>5.1}  {:>12.1}\n",
+            "{:<9}  {:>4}  {:>7}  {:>5.1}°  {:>5.0} %  {:>5}  {:>7.2}  {:>6.2}  {:>7.2}  {:>7.2}  {:>6.2}  {:>5.1}  {:>12.1}\n",
             format!("{}x{}", count.size.width(), count.size.height()),
             count.mip_bias,
             count.viewers,
@@ -143,6 +153,7 @@ pub fn table(counts: &[RingCount]) -> String {
             count.tiles,
             count.texels_per_pixel,
             count.texels_per_pixel / count.sky_share,
+            count.samples_per_pixel,
             count.seen_per_pixel,
             count.seen_per_pixel / count.sky_share,
             count.bytes as f64 / 1e6,
@@ -166,6 +177,7 @@ mod tests {
             size: FrameSize::new(size[0], size[1]).expect("a size"),
             steps: 64,
             samples: 8,
+            samples_by_area: false,
         };
         let count = count(&setup, across_deg, &scene).expect("cameras");
         println!("{}", table(&[count]));

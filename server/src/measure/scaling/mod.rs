@@ -96,6 +96,9 @@ pub struct ScalingArguments {
     /// Samples of a texel [default: 2 with --quick, else 8].
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=16))]
     pub samples: Option<u32>,
+    /// Where several texels make a pixel of a ring, it is their samples together that are so many.
+    #[arg(long)]
+    pub samples_by_area: bool,
     /// Measure everything anew, whatever is in the folder.
     #[arg(long)]
     pub fresh: bool,
@@ -293,6 +296,7 @@ impl ScalingArguments {
                         size,
                         steps,
                         samples,
+                        samples_by_area: self.samples_by_area,
                     });
                 }
             }
@@ -389,7 +393,7 @@ fn print_counts(arguments: &ScalingArguments) -> anyhow::Result<()> {
             only: vec![Part::Rings],
             ..arguments.clone()
         };
-        for setup in rings.ring_setups(size, 1)? {
+        for setup in rings.ring_setups(size, arguments.samples.unwrap_or(8))? {
             let round_deg = 360.0 / f64::from(setup.viewers);
             if round_deg < HORIZONTAL_FOV_MAX_DEG {
                 counts.push(counts::count(&setup, round_deg, &scene)?);

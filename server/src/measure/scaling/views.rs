@@ -31,6 +31,9 @@ pub struct RingSetup {
     pub steps: u32,
     /// Samples of a texel.
     pub samples: u32,
+    /// Where several texels make a pixel, it is their samples together that are so many.
+    #[serde(default)]
+    pub samples_by_area: bool,
 }
 
 /// What a ring took.
@@ -89,6 +92,7 @@ impl RingSetup {
                 ..MarchSettings::default()
             },
             samples: self.samples,
+            samples_by_area: self.samples_by_area,
             mip_bias: self.mip_bias,
             shared_background: still.is_software(),
             ..StillSettings::default()
@@ -131,6 +135,7 @@ mod tests {
             size: FrameSize::new(320, 180).expect("a size"),
             steps: 64,
             samples: 8,
+            samples_by_area: false,
         };
         let cameras = setup.cameras().expect("cameras");
         assert_eq!(cameras.len(), 8);
