@@ -48,18 +48,23 @@ impl Qualities {
         by: AskedBy,
         point: usize,
     ) -> QualitySettings {
-        let picked = self.overrides.over(self.table.point(point).settings);
+        let mut picked = self.overrides.over(self.table.point(point).settings);
         let error = self.asked_error(asked, by);
+        // Texels are held against an error that is asked for, and not pixels.
+        picked.samples_by_area &= error.is_none();
         let Some(governor) = error.and_then(|error| self.asked_errors.of(error)) else {
             return picked;
         };
-        let finer = governor.marched().point;
-        if finer == point {
+        let finer = governor.marched();
+        if finer.point == point && finer.steps_factor == 1.0 {
             return picked;
         }
         // Audits look at what is marched, and so much is changed: resolution and filter are of the picture that was asked for.
-        let marched = self.overrides.over(self.table.point(finer).settings);
+        let mut marched = self.table.point(finer.point).settings;
+        marched.march_steps = (f64::from(marched.march_steps) * finer.steps_factor).round() as u32;
+        let marched = self.overrides.over(marched);
         QualitySettings {
+            samples_by_area: picked.samples_by_area,
             mip_bias: picked.mip_bias,
             frame_filter: picked.frame_filter,
             parallax_steps: picked.parallax_steps,
@@ -121,7 +126,7 @@ impl SkyRenderer {
             .iter()
             .filter_map(|(id, viewer)| Some((*id, self.qualities.error_of(&viewer.quality)?)))
             .collect();
-        let is_behind = self.losses.is_behind();
+        let pace = self.losses.pace();
         let Qualities {
             asked_errors: AskedErrors { governors },
             table,
@@ -137,7 +142,17 @@ impl SkyRenderer {
         }
         let mut changed = Vec::new();
         for (error, governor) in governors {
-            if governor.consider(table, is_behind, now) {
+            if governor.consider(table, pace, now) {
+                let marched = governor.marched();
+                let settings = table.point(marched.point).settings;
+                tracing::info!(
+                    max_error = *error,
+                    march_steps = f64::from(settings.march_steps) * marched.steps_factor,
+                    samples = settings.samples,
+                    wait_share = marched.wait_share,
+                    ?pace,
+                    "marched in another way for an error that was asked for"
+                );
                 changed.push(*error);
             }
         }

@@ -420,10 +420,10 @@ mod tests {
             last.0 > 32 && last.1 <= 100.0 * ASKED && last.2,
             "{found:?}"
         );
-        // No finer than it takes.
+        // No finer than it takes to be within it by more than what is found sways.
         let kept = found
             .iter()
-            .position(|(_, _, is_met)| *is_met)
+            .position(|(_, p95_percent, _)| *p95_percent <= 90.0 * ASKED)
             .expect("kept");
         assert!(
             found[kept..].iter().all(|(steps, _, _)| *steps == last.0),

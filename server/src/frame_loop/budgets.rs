@@ -8,6 +8,7 @@ use super::cells_on_device::ActiveCell;
 use super::interface::LossStats;
 use super::renderer::SkyRenderer;
 use crate::cache::{LEVELS_LOST_MAX, MemoryGovernor, Rate, RateGovernor, TileRequest, Wish};
+use crate::quality::Pace;
 use skycell_protocol::CellId;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -55,9 +56,13 @@ impl Losses {
         self.rate.rate()
     }
 
-    /// Marching does not keep up, so that more than how soon what is old is marched again is given up.
-    pub(super) fn is_behind(&self) -> bool {
-        self.rate.rate().coarsens()
+    /// Whether marching keeps up, by what is given up for it.
+    pub(super) fn pace(&self) -> Pace {
+        match self.rate.rate() {
+            rate if rate.coarsens() => Pace::Behind,
+            rate if rate == RateGovernor::default().rate() => Pace::KeepsUp,
+            _ => Pace::Just,
+        }
     }
 
     /// What a cell would hold of what viewers ask for; an upper bound where that is known to fit.

@@ -6,24 +6,28 @@ use std::time::{Duration, Instant};
 
 /// Share of audited texels that may deviate by more than the error that was asked for: the audit's 95th percentile is within it.
 pub const BEYOND_MAX: f64 = 0.05;
+/// From this share on it is marched more finely or more often: what is found sways, and is to stay within what is allowed.
+const BEYOND_AIM: f64 = 0.04;
 /// Below this share something coarser is tried again.
 const BEYOND_FEW: f64 = 0.01;
 /// The latest texels that a decision follows from, ...
 const WINDOW_TEXELS: usize = 4096;
 /// ... and the fewest: what is far beyond is seen from these.
-const TEXELS_MIN: usize = 64;
+const TEXELS_MIN: usize = 192;
 /// After a change, what is audited for so long may have been marched before it.
 const SETTLES: Duration = Duration::from_secs(2);
 /// Where marching has been behind for so long, something finer that was picked is given up again, ...
 const BEHIND: Duration = Duration::from_secs(10);
-/// ... and tried again after this; each time that it did not fit, the wait doubles, ...
-const RETRY: Duration = Duration::from_secs(160);
-/// ... up to this.
-const RETRY_MAX: Duration = Duration::from_secs(640);
+/// ... the next so long after that: what waits must be worked off first; ...
+const WORKS_OFF: Duration = Duration::from_secs(30);
+/// ... and tried again after this: what does not fit costs a minute of pictures that are far worse.
+const RETRY: Duration = Duration::from_secs(640);
 /// How long few texels must have been beyond the error before something coarser is tried, ...
 const CALM: Duration = Duration::from_secs(60);
-/// ... which doubles, up to the longest above, where that did not hold for twice as long.
+/// ... which doubles, up to [`CALM_MAX`], where that did not hold for twice as long.
 const HOLD: Duration = Duration::from_secs(120);
+/// The longest such time.
+const CALM_MAX: Duration = Duration::from_secs(640);
 
 /// So many texels of the old or of the fresh ones tell what part age has.
 const OF_AGE_MIN: usize = 16;
@@ -31,6 +35,9 @@ const OF_AGE_MIN: usize = 16;
 const BY_AGE: f64 = 1.5;
 /// Least share of the time that tiles otherwise wait until they are marched again.
 const WAIT_SHARE_MIN: f64 = 0.25;
+
+/// How many times the steps it is marched with next where they are too few.
+const STEPS_GROW: f64 = std::f64::consts::SQRT_2;
 
 /// What an audit has found of a texel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,11 +48,24 @@ pub struct AuditedError {
     pub is_old: bool,
 }
 
+/// Whether marching keeps up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// It does.
+    KeepsUp,
+    /// Just: what is old waits longer. There is no room for more.
+    Just,
+    /// It does not: samples or levels are given up.
+    Behind,
+}
+
 /// How is marched.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MarchedAs {
     /// The point of the table as whose rays.
     pub point: usize,
+    /// With so many steps for each of the point's: some of the way to the next one.
+    pub steps_factor: f64,
     /// After which share of the time that tiles otherwise wait.
     pub wait_share: f64,
 }
@@ -62,7 +82,7 @@ pub struct ErrorGovernor {
     beyond: usize,
     changed: Option<Instant>,
     behind_since: Option<Instant>,
-    retry: Duration,
+    given_up: Option<Instant>,
     retry_at: Option<Instant>,
     few_since: Option<Instant>,
     calm: Duration,
@@ -76,6 +96,7 @@ impl ErrorGovernor {
         Self {
             marched: MarchedAs {
                 point,
+                steps_factor: 1.0,
                 wait_share: 1.0,
             },
             before: Vec::new(),
@@ -83,7 +104,7 @@ impl ErrorGovernor {
             beyond: 0,
             changed: None,
             behind_since: None,
-            retry: RETRY,
+            given_up: None,
             retry_at: None,
             few_since: None,
             calm: CALM,
@@ -119,15 +140,15 @@ impl ErrorGovernor {
     #[must_use]
     pub fn missed_share(&self) -> Option<f64> {
         self.share_beyond()
-            .filter(|share| *share > self.beyond_max())
+            .filter(|share| *share > self.not_by_chance(BEYOND_MAX))
     }
 
-    /// The share from which on texels speak against the error being kept. It is looked at again and again, so something is
-    /// always found by chance: of few texels up to three times the standard error more, of a whole window twice.
-    fn beyond_max(&self) -> f64 {
+    /// The share from which on the latest texels tell that there are more than some share. It is looked at again and again, so
+    /// something is always found by chance: of few texels up to three times the standard error more, of a whole window twice.
+    fn not_by_chance(&self, share: f64) -> f64 {
         let texels = self.found.len();
         let errors = if texels < WINDOW_TEXELS { 3.0 } else { 2.0 };
-        BEYOND_MAX + errors * (BEYOND_MAX * (1.0 - BEYOND_MAX) / texels as f64).sqrt()
+        share + errors * (share * (1.0 - share) / texels as f64).sqrt()
     }
 
     /// Takes what an audit has found.
@@ -145,20 +166,21 @@ impl ErrorGovernor {
         }
     }
 
-    /// Decides; true when it is marched in another way from now on. `is_behind`: marching does not keep up, something has been
-    /// given up for that.
-    pub fn consider(&mut self, table: &QualityTable, is_behind: bool, now: Instant) -> bool {
-        let is_changed = if is_behind {
+    /// Decides; true when it is marched in another way from now on.
+    pub fn consider(&mut self, table: &QualityTable, pace: Pace, now: Instant) -> bool {
+        let is_changed = if pace == Pace::Behind {
             let since = *self.behind_since.get_or_insert(now);
-            let gives_up = now - since >= BEHIND && self.step_back();
+            let is_working_off = (self.given_up).is_some_and(|at| now - at < WORKS_OFF);
+            let gives_up = now - since >= BEHIND && !is_working_off && self.step_back();
             if gives_up {
-                self.retry_at = Some(now + self.retry);
-                self.retry = (2 * self.retry).min(RETRY_MAX);
+                self.given_up = Some(now);
+                self.retry_at = Some(now + RETRY);
             }
             gives_up
         } else {
             self.behind_since = None;
-            (self.share_beyond()).is_some_and(|share| self.follow(table, share, now))
+            let has_room = pace == Pace::KeepsUp;
+            (self.share_beyond()).is_some_and(|share| self.follow(table, share, has_room, now))
         };
         if is_changed {
             self.found.clear();
@@ -170,14 +192,14 @@ impl ErrorGovernor {
         is_changed
     }
 
-    fn follow(&mut self, table: &QualityTable, share: f64, now: Instant) -> bool {
-        if share > self.beyond_max() {
+    fn follow(&mut self, table: &QualityTable, share: f64, has_room: bool, now: Instant) -> bool {
+        if share > self.not_by_chance(BEYOND_AIM) {
             self.few_since = None;
-            if self.retry_at.is_some_and(|at| now < at) {
+            if !has_room || self.retry_at.is_some_and(|at| now < at) {
                 return false;
             }
             if (self.coarsened.take()).is_some_and(|coarsened| now - coarsened < HOLD) {
-                self.calm = (2 * self.calm).min(RETRY_MAX);
+                self.calm = (2 * self.calm).min(CALM_MAX);
             }
             return self.step(table);
         }
@@ -205,9 +227,22 @@ impl ErrorGovernor {
             wait_share: 0.5 * self.marched.wait_share,
             ..self.marched
         });
-        let finer = finer(table, self.marched.point).map(|point| MarchedAs {
-            point,
-            ..self.marched
+        let finer = finer(table, self.marched.point).map(|point| {
+            // Points are far apart, and the next one may be more than there is time for.
+            let steps = |point| f64::from(table.point(point).settings.march_steps);
+            let steps_factor = STEPS_GROW * self.marched.steps_factor;
+            if steps(self.marched.point) * steps_factor < steps(point) - 0.5 {
+                MarchedAs {
+                    steps_factor,
+                    ..self.marched
+                }
+            } else {
+                MarchedAs {
+                    point,
+                    steps_factor: 1.0,
+                    ..self.marched
+                }
+            }
         });
         let next = if is_by_age {
             sooner.or(finer)
@@ -250,9 +285,9 @@ mod tests {
         seconds: usize,
         share: impl Fn(usize) -> f64,
         is_behind: impl Fn(usize) -> bool,
-    ) -> Vec<usize> {
+    ) -> Vec<MarchedAs> {
         let table = QualityTable::embedded();
-        let mut picked = vec![governor.marched().point];
+        let mut picked = vec![governor.marched()];
         let mut sum = 0.0;
         for _ in 0..2 * seconds {
             *now += Duration::from_millis(500);
@@ -269,16 +304,24 @@ mod tests {
                 })
                 .collect();
             governor.note(found, *now);
-            if governor.consider(&table, is_behind(governor.marched().point), *now) {
-                picked.push(governor.marched().point);
+            let pace = if is_behind(governor.marched().point) {
+                Pace::Behind
+            } else {
+                Pace::KeepsUp
+            };
+            if governor.consider(&table, pace, *now) {
+                picked.push(governor.marched());
             }
         }
         picked
     }
 
-    fn steps(picked: &[usize]) -> Vec<u32> {
+    fn steps(picked: &[MarchedAs]) -> Vec<f64> {
         let table = QualityTable::embedded();
-        let of = |point: &usize| table.point(*point).settings.march_steps;
+        let of = |marched: &MarchedAs| {
+            let steps = table.point(marched.point).settings.march_steps;
+            (f64::from(steps) * marched.steps_factor).round()
+        };
         picked.iter().map(of).collect()
     }
 
@@ -286,20 +329,20 @@ mod tests {
     fn too_many_texels_beyond_the_error_make_the_march_finer_within_seconds_until_it_is_kept() {
         let (mut governor, mut now) = (ErrorGovernor::new(0), Instant::now());
         let table = QualityTable::embedded();
-        let share = |point: usize| 5.0 / f64::from(table.point(point).settings.march_steps);
-        let picked = run(&mut governor, &mut now, 30, share, |_| false);
-        assert_eq!(steps(&picked), [32, 64, 128]);
+        let share = |point: usize| 4.0 / f64::from(table.point(point).settings.march_steps);
+        let picked = run(&mut governor, &mut now, 60, share, |_| false);
+        assert_eq!(steps(&picked), [32.0, 45.0, 64.0, 91.0, 128.0]);
         assert_eq!(governor.missed_share(), None);
         // Neither finer nor coarser, however long.
         let picked = run(&mut governor, &mut now, 900, share, |_| false);
-        assert_eq!(steps(&picked), [128]);
+        assert_eq!(steps(&picked), [128.0]);
     }
 
     #[test]
     fn what_is_kept_by_the_tables_pick_stays_there_and_few_texels_are_no_finding() {
         let (mut governor, mut now) = (ErrorGovernor::new(0), Instant::now());
-        let picked = run(&mut governor, &mut now, 300, |_| 0.045, |_| false);
-        assert_eq!(picked, [0]);
+        let picked = run(&mut governor, &mut now, 300, |_| 0.03, |_| false);
+        assert_eq!(steps(&picked), [32.0]);
         let mut governor = ErrorGovernor::new(0);
         let worst = AuditedError {
             is_beyond: true,
@@ -307,7 +350,24 @@ mod tests {
         };
         governor.note([worst; TEXELS_MIN - 1], now);
         assert_eq!(governor.missed_share(), None);
-        assert!(!governor.consider(&QualityTable::embedded(), false, now));
+        assert!(!governor.consider(&QualityTable::embedded(), Pace::KeepsUp, now));
+    }
+
+    #[test]
+    fn nothing_finer_is_begun_while_what_is_old_waits_longer_already() {
+        let (mut governor, mut now) = (ErrorGovernor::new(0), Instant::now());
+        let table = QualityTable::embedded();
+        let worst = AuditedError {
+            is_beyond: true,
+            is_old: false,
+        };
+        governor.note([worst; WINDOW_TEXELS], now);
+        for _ in 0..120 {
+            now += Duration::from_secs(1);
+            assert!(!governor.consider(&table, Pace::Just, now));
+        }
+        assert!(governor.missed_share().is_some());
+        assert!(governor.consider(&table, Pace::KeepsUp, now));
     }
 
     #[test]
@@ -327,7 +387,7 @@ mod tests {
         let picked = run(&mut governor, &mut now, 600, |_| 0.3, |point| point > 0);
         assert!((3..16).contains(&picked.len()), "{picked:?}");
         let picked = run(&mut governor, &mut now, 60, |_| 0.3, |_| true);
-        assert_eq!(picked.last(), Some(&0));
+        assert_eq!(picked.last().map(|marched| marched.point), Some(0));
         run(&mut governor, &mut now, 30, |_| 0.3, |_| true);
         assert!(governor.missed_share().is_some() && governor.marched().point == 0);
     }
@@ -345,14 +405,23 @@ mod tests {
                 is_old: index % 4 == 0,
             });
             governor.note(found, now);
-            if governor.consider(&table, false, now) {
+            if governor.consider(&table, Pace::KeepsUp, now) {
                 picked.push(governor.marched());
             }
         }
         let point = 0;
-        let of = |wait_share: f64| MarchedAs { point, wait_share };
+        let of = |wait_share: f64| MarchedAs {
+            point,
+            steps_factor: 1.0,
+            wait_share,
+        };
         // An eighth is beyond it in the end, and there is no more often: then more finely.
         assert_eq!(picked[..2], [of(0.5), of(0.25)]);
-        assert!(picked[2..].iter().all(|p| p.point > 0), "{picked:?}");
+        assert!(
+            picked[2..]
+                .iter()
+                .all(|p| p.point > 0 || p.steps_factor > 1.0),
+            "{picked:?}"
+        );
     }
 }
