@@ -381,15 +381,16 @@ pub fn requested_tiles(
         let mu = seen.axis.dot(view.forward).max(0.2);
         let pixel_sr = view.pixel_angle_rad.powi(2) * mu.powi(3);
         let texel_sr = texel_solid_angle_sr(tile.level) * seen.solid_angle_ratio;
-        if (texel_sr / pixel_sr).sqrt() > allowed && tile.level + 1 < LEVELS {
+        let texel_pixels = texel_sr / pixel_sr;
+        if texel_pixels.sqrt() > allowed && tile.level + 1 < LEVELS {
             open.extend(tile.children());
         } else {
             requests.push(TileRequest {
                 key: tile,
                 eccentricity_rad: seen.axis.angle_between(view.forward),
                 distance_m: seen.distance_m,
-                screen_share: (TILE_PIXELS * texel_sr / pixel_sr / picture_pixels).min(1.0),
-                texel_pixels: texel_sr / pixel_sr,
+                screen_share: (TILE_PIXELS * texel_pixels / picture_pixels).min(1.0),
+                texel_pixels,
             });
         }
     }

@@ -13,22 +13,25 @@ pub struct TexelSamples {
 }
 
 impl TexelSamples {
+    /// So many at most, or one.
+    #[must_use]
+    pub fn new(most: u32, by_area: bool) -> Self {
+        Self {
+            most: most.max(1),
+            by_area,
+        }
+    }
+
     /// So many in each texel.
     #[must_use]
     pub fn each(most: u32) -> Self {
-        Self {
-            most: most.max(1),
-            by_area: false,
-        }
+        Self::new(most, false)
     }
 
     /// The same for another number.
     #[must_use]
     pub fn with_most(self, most: u32) -> Self {
-        Self {
-            most: most.max(1),
-            ..self
-        }
+        Self::new(most, self.by_area)
     }
 
     /// Samples that the texels of a tile should average: one where it only fills in for tiles that are not there yet.
@@ -69,10 +72,7 @@ mod tests {
 
     #[test]
     fn a_pixel_has_its_samples_whether_one_texel_makes_it_or_several() {
-        let shared = TexelSamples {
-            most: 8,
-            by_area: true,
-        };
+        let shared = TexelSamples::new(8, true);
         for width in [0.35, 0.5, 0.6, 0.7, 0.8] {
             let area = width * width;
             let of_pixel = f64::from(shared.of(&want(1, area))) / area;

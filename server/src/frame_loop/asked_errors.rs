@@ -56,13 +56,11 @@ impl Qualities {
             return picked;
         };
         let finer = governor.marched();
-        if finer.point == point && finer.steps_factor == 1.0 {
-            return picked;
-        }
         // Audits look at what is marched, and so much is changed: resolution and filter are of the picture that was asked for.
-        let mut marched = self.table.point(finer.point).settings;
-        marched.march_steps = (f64::from(marched.march_steps) * finer.steps_factor).round() as u32;
-        let marched = self.overrides.over(marched);
+        let marched = self.overrides.over(QualitySettings {
+            march_steps: finer.march_steps(&self.table),
+            ..self.table.point(finer.point).settings
+        });
         QualitySettings {
             samples_by_area: picked.samples_by_area,
             mip_bias: picked.mip_bias,
@@ -144,11 +142,10 @@ impl SkyRenderer {
         for (error, governor) in governors {
             if governor.consider(table, pace, now) {
                 let marched = governor.marched();
-                let settings = table.point(marched.point).settings;
                 tracing::info!(
                     max_error = *error,
-                    march_steps = f64::from(settings.march_steps) * marched.steps_factor,
-                    samples = settings.samples,
+                    march_steps = marched.march_steps(table),
+                    samples = table.point(marched.point).settings.samples,
                     wait_share = marched.wait_share,
                     ?pace,
                     "marched in another way for an error that was asked for"
@@ -189,5 +186,41 @@ impl SkyRenderer {
             100.0 * error,
             100.0 * BEYOND_MAX
         ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame_loop::driven::{Driven, camera, view};
+    use crate::frame_loop::interface::ViewRequest;
+    use serde_json::json;
+
+    #[test]
+    fn samples_go_by_area_where_that_is_configured_and_nobody_asks_for_an_error() {
+        let calm = json!({"version": 1, "wind": {"speed_m_per_s": 0}});
+        let updates = |by_area: bool, quality: Option<QualityChoice>| {
+            let mut driven = Driven::configured(4, &calm, &[], |config| {
+                config.mip_bias = Some(0.0);
+                config.samples = Some(8);
+                config.samples_by_area = Some(by_area);
+            });
+            let renderer = &mut driven.renderer;
+            renderer.let_qualities_be_chosen().expect("pipelines");
+            let request = ViewRequest {
+                quality,
+                ..view([320, 180], camera(0.0, 0.0))
+            };
+            renderer.join(ViewerId(1), request);
+            driven.settle();
+            driven.renderer.counters.tiles_updated
+        };
+        let error = Some(QualityChoice::MaxError(0.1));
+        let each = updates(false, None);
+        assert_eq!(updates(true, error), each);
+        // Texels are half as wide as pixels: two of eight, and the coarse level.
+        let by_area = updates(true, None);
+        println!("{by_area} updates by area, {each} with all in each texel");
+        assert!(by_area < each / 2 && by_area > each / 8, "{by_area} {each}");
     }
 }

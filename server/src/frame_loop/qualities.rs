@@ -307,10 +307,7 @@ impl SkyRenderer {
             self.caches.age_cell(id);
         }
         cell.settings = settings;
-        cell.samples = TexelSamples {
-            most: finest.samples,
-            by_area: finest.samples_by_area,
-        };
+        cell.samples = TexelSamples::new(finest.samples, finest.samples_by_area);
     }
 
     /// Gives those who ask for an error the limit that keeps it, by the measured curve. Where nobody asks, and for what a

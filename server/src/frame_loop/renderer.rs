@@ -151,10 +151,7 @@ impl SkyRenderer {
         }
         let qualities = Qualities::new(&config, gpu.is_software());
         let base = qualities.default_settings();
-        caches.set_samples(TexelSamples {
-            most: base.samples,
-            by_area: base.samples_by_area,
-        });
+        caches.set_samples(TexelSamples::new(base.samples, base.samples_by_area));
         let mut renderer = Self {
             atlas: Atlas::new(&gpu),
             texel_march: TexelMarch::new(&gpu),

@@ -577,10 +577,8 @@ impl Start {
         // Each picture pays for its own.
         renderer.sun.clear();
         renderer.shafts.clear();
-        renderer.caches.set_samples(TexelSamples {
-            most: settings.samples.max(1),
-            by_area: settings.samples_by_area,
-        });
+        let samples = TexelSamples::new(settings.samples, settings.samples_by_area);
+        renderer.caches.set_samples(samples);
         renderer.mip_bias = f64::from(settings.mip_bias);
         renderer.parallax_steps = settings.parallax_steps;
         renderer.kept_on = settings.kept_on().checked()?;

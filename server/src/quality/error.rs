@@ -70,6 +70,15 @@ pub struct MarchedAs {
     pub wait_share: f64,
 }
 
+impl MarchedAs {
+    /// Steps through a layer's thickness.
+    #[must_use]
+    pub fn march_steps(&self, table: &QualityTable) -> u32 {
+        let steps = table.point(self.point).settings.march_steps;
+        (f64::from(steps) * self.steps_factor).round() as u32
+    }
+}
+
 /// How is marched for those who ask for one error.
 #[derive(Clone, Debug)]
 pub struct ErrorGovernor {
@@ -82,8 +91,8 @@ pub struct ErrorGovernor {
     beyond: usize,
     changed: Option<Instant>,
     behind_since: Option<Instant>,
+    /// When marching was last too slow for what was picked.
     given_up: Option<Instant>,
-    retry_at: Option<Instant>,
     few_since: Option<Instant>,
     calm: Duration,
     coarsened: Option<Instant>,
@@ -105,7 +114,6 @@ impl ErrorGovernor {
             changed: None,
             behind_since: None,
             given_up: None,
-            retry_at: None,
             few_since: None,
             calm: CALM,
             coarsened: None,
@@ -170,11 +178,10 @@ impl ErrorGovernor {
     pub fn consider(&mut self, table: &QualityTable, pace: Pace, now: Instant) -> bool {
         let is_changed = if pace == Pace::Behind {
             let since = *self.behind_since.get_or_insert(now);
-            let is_working_off = (self.given_up).is_some_and(|at| now - at < WORKS_OFF);
+            let is_working_off = self.has_given_up_within(WORKS_OFF, now);
             let gives_up = now - since >= BEHIND && !is_working_off && self.step_back();
             if gives_up {
                 self.given_up = Some(now);
-                self.retry_at = Some(now + RETRY);
             }
             gives_up
         } else {
@@ -192,10 +199,14 @@ impl ErrorGovernor {
         is_changed
     }
 
+    fn has_given_up_within(&self, time: Duration, now: Instant) -> bool {
+        self.given_up.is_some_and(|at| now - at < time)
+    }
+
     fn follow(&mut self, table: &QualityTable, share: f64, has_room: bool, now: Instant) -> bool {
         if share > self.not_by_chance(BEYOND_AIM) {
             self.few_since = None;
-            if !has_room || self.retry_at.is_some_and(|at| now < at) {
+            if !has_room || self.has_given_up_within(RETRY, now) {
                 return false;
             }
             if (self.coarsened.take()).is_some_and(|coarsened| now - coarsened < HOLD) {
@@ -229,13 +240,12 @@ impl ErrorGovernor {
         });
         let finer = finer(table, self.marched.point).map(|point| {
             // Points are far apart, and the next one may be more than there is time for.
-            let steps = |point| f64::from(table.point(point).settings.march_steps);
-            let steps_factor = STEPS_GROW * self.marched.steps_factor;
-            if steps(self.marched.point) * steps_factor < steps(point) - 0.5 {
-                MarchedAs {
-                    steps_factor,
-                    ..self.marched
-                }
+            let more = MarchedAs {
+                steps_factor: STEPS_GROW * self.marched.steps_factor,
+                ..self.marched
+            };
+            if more.march_steps(table) < table.point(point).settings.march_steps {
+                more
             } else {
                 MarchedAs {
                     point,
@@ -316,13 +326,9 @@ mod tests {
         picked
     }
 
-    fn steps(picked: &[MarchedAs]) -> Vec<f64> {
+    fn steps(picked: &[MarchedAs]) -> Vec<u32> {
         let table = QualityTable::embedded();
-        let of = |marched: &MarchedAs| {
-            let steps = table.point(marched.point).settings.march_steps;
-            (f64::from(steps) * marched.steps_factor).round()
-        };
-        picked.iter().map(of).collect()
+        picked.iter().map(|m| m.march_steps(&table)).collect()
     }
 
     #[test]
@@ -331,18 +337,18 @@ mod tests {
         let table = QualityTable::embedded();
         let share = |point: usize| 4.0 / f64::from(table.point(point).settings.march_steps);
         let picked = run(&mut governor, &mut now, 60, share, |_| false);
-        assert_eq!(steps(&picked), [32.0, 45.0, 64.0, 91.0, 128.0]);
+        assert_eq!(steps(&picked), [32, 45, 64, 91, 128]);
         assert_eq!(governor.missed_share(), None);
         // Neither finer nor coarser, however long.
         let picked = run(&mut governor, &mut now, 900, share, |_| false);
-        assert_eq!(steps(&picked), [128.0]);
+        assert_eq!(steps(&picked), [128]);
     }
 
     #[test]
     fn what_is_kept_by_the_tables_pick_stays_there_and_few_texels_are_no_finding() {
         let (mut governor, mut now) = (ErrorGovernor::new(0), Instant::now());
         let picked = run(&mut governor, &mut now, 300, |_| 0.03, |_| false);
-        assert_eq!(steps(&picked), [32.0]);
+        assert_eq!(steps(&picked), [32]);
         let mut governor = ErrorGovernor::new(0);
         let worst = AuditedError {
             is_beyond: true,

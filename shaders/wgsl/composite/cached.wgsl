@@ -409,10 +409,14 @@ fn parallax_along(planet_radius_m: f32, eye: View, proxy: Proxy, table: PageTabl
 }
 #endif
 
-/// The solid angle of a viewer's pixel, sr: θ off the middle of a picture it has cos³θ of what it has there.
-fn pixel_sr(eye: View, direction: vec3f) -> f32 {
+/// The solid angle that what a viewer's pixel shows at a point has from an anchor, sr. θ off the middle of a picture a pixel has
+/// cos³θ of what it has there; from twice as far a thing has a quarter of the solid angle.
+fn pixel_sr(eye: View, direction: vec3f, point: vec3f, anchor: vec3f) -> f32 {
     let mu = max(dot(direction, eye.forward), 0.0);
-    return eye.pixel_angle_rad * eye.pixel_angle_rad * mu * mu * mu;
+    let from_eye = point - eye.position;
+    let from_anchor = point - anchor;
+    let nearer = dot(from_eye, from_eye) / max(dot(from_anchor, from_anchor), 1.0);
+    return eye.pixel_angle_rad * eye.pixel_angle_rad * mu * mu * mu * nearer;
 }
 
 /// What the cache holds of a part of a layer along a viewer's ray.
@@ -428,13 +432,13 @@ fn cached_part(planet_radius_m: f32, eye: View, kept: Kept, direction: vec3f, hi
 #ifdef PARALLAX
     let parallax = parallax_along(planet_radius_m, eye, proxy, table, direction, is_clear);
     let point = point_at_place(planet_radius_m, eye, proxy, direction, parallax.place);
-    var cloud = cached_radiance(table, place_of_point(planet_radius_m, proxy, parallax, point), pixel_sr(eye, direction), is_clear);
+    var cloud = cached_radiance(table, place_of_point(planet_radius_m, proxy, parallax, point), pixel_sr(eye, direction, point, proxy.anchor), is_clear);
     // The viewer is as far from what it sees as it is, not as far as the origin of the texel's ray.
     cloud.opacity_distance_m *= length(point - eye.position) / max(length(point - proxy.anchor - parallax.origin), 1.0);
     return cloud;
 #else
     let point = surface_point(planet_radius_m, proxy, eye.position, eye.altitude_m, direction);
-    return cached_radiance(table, point - proxy.anchor, pixel_sr(eye, direction), is_clear);
+    return cached_radiance(table, point - proxy.anchor, pixel_sr(eye, direction, point, proxy.anchor), is_clear);
 #endif
 }
 

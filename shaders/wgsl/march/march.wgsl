@@ -727,7 +727,7 @@ fn interleaved_gradient_noise(position: vec2f) -> f32 {
 
 /// Eight places of 1/8 by 1/8, no two in a row or column, whose mean is the middle (the standard pattern of eightfold
 /// multisampling), in 1/16: a mean beside the middle would shift the picture. Those next to the middle come first, and two that
-/// follow one another are on opposite sides, so that the mean of the first two, four and six is there, too.
+/// follow one another are on opposite sides, so that the mean of the first two is there and that of four and six within 1/32 of it.
 const SAMPLE_PLACES: array<vec2f, 8> = array<vec2f, 8>(
     vec2f(1.0, -3.0), vec2f(-1.0, 3.0), vec2f(3.0, 7.0), vec2f(-3.0, -5.0),
     vec2f(5.0, 1.0), vec2f(-7.0, -1.0), vec2f(-5.0, 5.0), vec2f(7.0, -7.0),

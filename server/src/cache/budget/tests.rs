@@ -45,6 +45,9 @@ fn each_level_that_is_lost_leaves_a_quarter_of_the_tiles() {
     }
     let share = |tiles: &[TileRequest]| tiles.iter().map(|t| t.screen_share).sum::<f64>();
     assert!((share(&coarsened(&asked, 2)) - share(&asked)).abs() < 1e-12);
+    // And a texel of what is granted covers four, twice over.
+    let covers = |tiles: &[TileRequest]| tiles.iter().map(|t| t.texel_pixels).fold(0.0, f64::max);
+    assert_eq!(covers(&coarsened(&asked, 2)), 16.0 * covers(&asked));
 }
 
 #[test]

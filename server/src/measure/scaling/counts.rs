@@ -77,10 +77,7 @@ pub fn count(setup: &RingSetup, across_deg: f64, scene: &Scene) -> anyhow::Resul
             band: None,
         })
         .collect();
-    let by_area = TexelSamples {
-        most: setup.samples,
-        by_area: true,
-    };
+    let by_area = TexelSamples::new(setup.samples, true);
     let (mut tiles, mut tiles_coarse, mut blocks, mut samples) = (0, 0, 0, 0);
     let mut wish = Wish::default();
     for sphere in &spheres {
