@@ -12,6 +12,7 @@ mod scene;
 mod scene_events;
 mod scene_time;
 mod snapshot;
+mod unread_body;
 
 use std::any::Any;
 use std::sync::Arc;
@@ -25,7 +26,7 @@ use axum::http::header::{
     X_FRAME_OPTIONS,
 };
 use axum::http::{HeaderMap, Method, StatusCode};
-use axum::middleware::{Next, from_fn_with_state, map_response};
+use axum::middleware::{Next, from_fn, from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use tower::util::option_layer;
@@ -123,6 +124,7 @@ pub fn router(context: Arc<StreamContext>) -> Router {
         .layer(CatchPanicLayer::custom(after_panic))
         .layer(map_response(problem::unify))
         .layer(cors)
+        .layer(from_fn(unread_body::read_or_close))
         .layer(from_fn_with_state(context, count));
     security_headers()
         .into_iter()

@@ -5,6 +5,8 @@ use std::time::Duration;
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 use skycell_server::access::Role;
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::TcpStream;
 use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::Error;
 
@@ -140,9 +142,7 @@ async fn a_peer_has_no_more_connections_and_viewers_than_it_may() {
     drop(second);
     // One connection is kept by the tests' HTTP client, and what it asks for later goes over that one.
     world.get("/livez").await.text().await.expect("text");
-    let _idle = tokio::net::TcpStream::connect(world.address())
-        .await
-        .expect("connects");
+    let _idle = TcpStream::connect(world.address()).await.expect("connects");
     // The third is answered, so that it knows why, and closed.
     let request = format!("GET /livez HTTP/1.1\r\nHost: {}\r\n\r\n", world.address());
     let answer = by_hand(&world, &request).await;
@@ -241,4 +241,63 @@ async fn each_refusal_is_counted_under_its_reason() {
     ] {
         assert_eq!(refusals(&world, reason).await, count, "{reason}");
     }
+}
+
+/// Reads one answer of a connection that stays open: its head, and its body of the announced length.
+async fn answer(socket: &mut BufReader<TcpStream>) -> String {
+    let mut head = String::new();
+    while !head.ends_with("\r\n\r\n") {
+        let read = socket.read_line(&mut head).await.expect("a line");
+        assert_ne!(read, 0, "the connection ended after: {head:?}");
+    }
+    let length = head
+        .lines()
+        .find_map(|line| line.strip_prefix("content-length: "))
+        .expect("a length");
+    let mut body = vec![0; length.parse().expect("a number")];
+    socket.read_exact(&mut body).await.expect("a body");
+    head
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn after_a_body_that_was_refused_unread_the_next_request_is_answered_or_the_end_is_told() {
+    let world = start_with(Behaviour::default(), with_tokens).await;
+    let host = world.address();
+    let token = token_of(Role::Admin);
+    // Refused for its length, and for the token that is lacking.
+    for (authorization, length, status) in [
+        (format!("Authorization: Bearer {token}\r\n"), 70_000, "413"),
+        (String::new(), 60_000, "401"),
+    ] {
+        let socket = TcpStream::connect(host).await.expect("connects");
+        let mut socket = BufReader::new(socket);
+        let head = format!(
+            "PATCH /api/v1/scene HTTP/1.1\r\nHost: {host}\r\n{authorization}If-Match: *\r\n\
+             Content-Type: application/merge-patch+json\r\nContent-Length: {length}\r\n\r\n"
+        );
+        socket.write_all(head.as_bytes()).await.expect("sent");
+        // The body comes when the refusal is known already.
+        for _ in 0..10 {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+            let part = vec![b' '; length / 10];
+            socket.write_all(&part).await.expect("sent");
+        }
+        let refused = answer(&mut socket).await;
+        assert!(
+            refused.starts_with(&format!("HTTP/1.1 {status} ")),
+            "{refused}"
+        );
+        assert!(!refused.contains("connection: close"), "{refused}");
+        let next = format!("GET /livez HTTP/1.1\r\nHost: {host}\r\n\r\n");
+        socket.write_all(next.as_bytes()).await.expect("sent");
+        let next = answer(&mut socket).await;
+        assert!(next.starts_with("HTTP/1.1 200 "), "{next}");
+    }
+    // More than is read for nothing.
+    let head = format!(
+        "PATCH /api/v1/scene HTTP/1.1\r\nHost: {host}\r\nContent-Length: 100000000\r\n\r\n"
+    );
+    let refused = by_hand(&world, &head).await;
+    assert!(refused.starts_with("HTTP/1.1 401 "), "{refused}");
+    assert!(refused.contains("connection: close"), "{refused}");
 }
