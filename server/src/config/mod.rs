@@ -59,6 +59,8 @@ pub const CACHE_MEMORY_MIB: NumberRange = NumberRange::new(16.0, 65_536.0);
 pub const CELL_MEMORY_MIB: NumberRange = NumberRange::new(4.0, 65_536.0);
 /// Share of the time for marching while somebody moves or the sky does.
 pub const MARCH_SHARE: NumberRange = NumberRange::new(0.01, 1.0);
+/// How much older or younger than usual what caches hold may become.
+pub const AGE_FACTOR: NumberRange = NumberRange::new(0.1, 4.0);
 /// Places of a search for what texels show.
 pub const PARALLAX_STEPS: NumberRange = NumberRange::new(0.0, PARALLAX_STEPS_MAX as f64);
 /// Slabs that a layer may be cut into.
@@ -141,6 +143,9 @@ pub struct RenderConfig {
     pub cell_memory_mib: Option<u32>,
     /// Share of the time in which the device marches while somebody moves or the sky does, 0.01 to 1.
     pub march_share: f32,
+    /// How old under wind, and behind a sky that changes, what is marched may become until it is marched again, times what is
+    /// usual.
+    pub age_factor: f64,
     /// Steps of the march through a layer's thickness. Without: what the quality says.
     pub march_steps: Option<u32>,
     /// How caches are read for a frame. Without: what the quality says.
@@ -197,6 +202,7 @@ impl RenderConfig {
             cache_memory_mib: 256,
             cell_memory_mib: None,
             march_share: 0.25,
+            age_factor: 1.0,
             march_steps: None,
             frame_filter: None,
             parallax_steps: None,
@@ -218,6 +224,7 @@ impl RenderConfig {
             "cache_memory_mib",
             "cell_memory_mib",
             "march_share",
+            "age_factor",
             "march_steps",
             "frame_filter",
             "parallax_steps",
@@ -260,6 +267,7 @@ impl RenderConfig {
                 MARCH_SHARE,
                 f64::from(default.march_share),
             )? as f32,
+            age_factor: number(&members, "age_factor", AGE_FACTOR, default.age_factor)?,
             march_steps: match members.optional::<u32>("march_steps")? {
                 Some(steps) => {
                     Some(MARCH_STEPS.check_u32(&members.pointer_of("march_steps"), steps)?)

@@ -61,6 +61,7 @@ const KEYS: &[(&str, Kind)] = &[
     ("render/cache_memory_mib", Kind::Number),
     ("render/cell_memory_mib", Kind::Number),
     ("render/march_share", Kind::Number),
+    ("render/age_factor", Kind::Number),
     ("render/march_steps", Kind::Number),
     ("render/frame_filter", Kind::Text),
     ("render/parallax_steps", Kind::Number),

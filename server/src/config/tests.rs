@@ -261,16 +261,23 @@ fn a_variable_of_somebody_else_does_no_harm() {
 
 #[test]
 fn budgets_come_from_both_sources_and_are_refused_out_of_range() {
-    let environment = [("SKYCELL_RENDER_MARCH_SHARE", "0.5")];
+    let environment = [
+        ("SKYCELL_RENDER_MARCH_SHARE", "0.5"),
+        ("SKYCELL_RENDER_AGE_FACTOR", "0.25"),
+    ];
     let config = resolve("[render]\ncell_memory_mib = 32\n", &environment).expect("resolves");
+    assert_eq!(config.render.age_factor, 0.25);
     assert_eq!(config.render.cell_memory_mib, Some(32));
     assert_eq!(config.render.march_share, 0.5);
     let config = resolve("", &[]).expect("resolves");
     assert_eq!(config.render.cell_memory_mib, None);
+    assert_eq!(config.render.age_factor, 1.0);
     for (text, named) in [
         ("[render]\ncell_memory_mib = 3\n", "cell_memory_mib is 3"),
         ("[render]\nmarch_share = 0\n", "march_share is 0"),
         ("[render]\nmarch_share = 1.5\n", "march_share is 1.5"),
+        ("[render]\nage_factor = 0.05\n", "age_factor is 0.05"),
+        ("[render]\nage_factor = 5\n", "age_factor is 5"),
     ] {
         let error = resolve(text, &[]).expect_err(text).to_string();
         assert!(error.contains(named), "{error}");

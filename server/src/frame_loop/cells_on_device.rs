@@ -573,7 +573,7 @@ impl SkyRenderer {
             let used = !read.is_empty();
             cell.wish = self.losses.wish_of(&cell.coarse, &read);
             let rate = self.losses.rate();
-            let age_factor = rate.age_factor * wait_share;
+            let age_factor = self.config.age_factor * rate.age_factor * wait_share;
             for (proxy, coarse) in cell.coarse.iter().enumerate() {
                 let granted: Vec<TileRequest>;
                 let asked = read.iter().filter_map(|r| r.get(proxy));

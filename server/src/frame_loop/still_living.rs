@@ -234,6 +234,46 @@ mod tests {
         assert!(carried < 0.9 * left, "{carried} {left}");
     }
 
+    /// Tiles that wind alone asks for in ten seconds.
+    fn marched_under_wind(age_factor: f64) -> u64 {
+        let noise = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/noise-of-tests");
+        let config = RenderConfig {
+            age_factor,
+            ..RenderConfig::new(PathBuf::from(noise))
+        };
+        let scene = scene_of(&json!({"version": 1, "wind": {"speed_m_per_s": 20.0}}));
+        let size = FrameSize::new(96, 54).expect("a size");
+        let settings = StillSettings {
+            march: MarchSettings {
+                steps: 8,
+                ..MarchSettings::default()
+            },
+            ..StillSettings::default()
+        };
+        let mut still = StillRenderer::new(config, scene, &[]).expect("a device");
+        let cameras = [camera(0.0, 30.0)];
+        let viewers = still
+            .begin_living(&cameras, size, &settings)
+            .expect("viewers");
+        still.settle_living().expect("marched");
+        (0..40)
+            .map(|_| still.turn_living(&viewers, &cameras, 0.25, usize::MAX))
+            .sum::<Result<u64, _>>()
+            .expect("marched")
+    }
+
+    #[test]
+    fn what_may_be_half_as_old_is_marched_about_twice_as_often() {
+        let [usual, younger, older] = [1.0, 0.5, 2.0].map(marched_under_wind);
+        println!("{usual} tiles, {younger} at half the age, {older} at twice");
+        let ratio = |more: u64, fewer: u64| more as f64 / fewer as f64;
+        assert!(
+            (1.6..2.4).contains(&ratio(younger, usual)),
+            "{younger} {usual}"
+        );
+        assert!((1.6..2.4).contains(&ratio(usual, older)), "{usual} {older}");
+    }
+
     #[test]
     fn a_head_that_turns_to_what_it_has_seen_the_suns_colour_and_exposure_march_nothing() {
         let calm = |members: Value| {

@@ -9,7 +9,7 @@
 /// t²/12 + t² B/3: the same for B = (1/t² - 1) / 4. Sharper ones are nearer to the screen-space renderer's pictures, since what
 /// varies within a texel is lost anyway; the factor is tuned (`tests/tests/accuracy.rs`).
 fn softness(texels_per_pixel: f32) -> f32 {
-    return clamp(0.15 * (texels_per_pixel - 1.0), 0.0, 1.0);
+    return clamp(0.12 * (texels_per_pixel - 1.0), 0.0, 1.0);
 }
 
 /// Weights of the four texels around a place that lies `f` of the way from the second to the third.

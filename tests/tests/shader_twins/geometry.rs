@@ -273,7 +273,7 @@ fn reads_are_sharp_where_texels_are_as_wide_as_pixels_and_wider_where_several_ma
     let check = |c_of: fn(f64) -> f64| {
         worst(points.iter().zip(&values).flat_map(|(point, value)| {
             let [texels_per_pixel, place, _, _] = point[0].map(f64::from);
-            let soft = (0.15 * (texels_per_pixel - 1.0)).clamp(0.0, 1.0);
+            let soft = (0.12 * (texels_per_pixel - 1.0)).clamp(0.0, 1.0);
             let twin =
                 move |tap: usize| mitchell_netravali(soft, c_of(soft), place + 1.0 - tap as f64);
             // Sums of up to five terms, none beyond 4, and the rounded softness.

@@ -9,7 +9,7 @@ use super::metrics::{ShownErrors, shown_errors};
 use super::progress::{Progress, spoken};
 use super::reference::without_alpha;
 use super::store::write_json;
-use crate::config::FrameFilter;
+use crate::config::{AGE_FACTOR, FrameFilter, RenderConfig};
 use crate::frame_loop::{LivingViewers, StillRenderer, StillSettings};
 use crate::march::MarchSettings;
 use crate::quality::default_parallax_steps;
@@ -74,6 +74,9 @@ pub struct LivingArguments {
     /// Where several texels make a pixel, it is their samples together that are so many.
     #[arg(long)]
     pub samples_by_area: bool,
+    /// How old what is marched may become until it is marched again, times what is usual: `render.age_factor`, 0.1 to 4.
+    #[arg(long, default_value_t = 1.0)]
+    pub age_factor: f64,
     /// Most places at which a viewer looks for what texels show; 0: on the spheres alone.
     #[arg(long)]
     pub parallax_steps: Option<u32>,
@@ -123,6 +126,8 @@ pub struct LivingReport {
     pub samples: u32,
     /// Where several texels make a pixel, of these together.
     pub samples_by_area: bool,
+    /// How old what is marched may become, times what is usual.
+    pub age_factor: f64,
     /// Texels marched until nothing was left to do, before time began.
     pub texels_at_start: u64,
     /// Texels marched while it passed.
@@ -289,7 +294,10 @@ fn measured(arguments: &LivingArguments) -> anyhow::Result<LivingReport> {
         arguments.scene.as_deref(),
         arguments.noise_cache_dir.as_ref(),
     );
-    let config = folders.render_config(CACHE_MEMORY_MIB);
+    let config = RenderConfig {
+        age_factor: AGE_FACTOR.check("--age-factor", arguments.age_factor)?,
+        ..folders.render_config(CACHE_MEMORY_MIB)
+    };
     let mut bench = Bench {
         arguments,
         crowd: LookingCrowd::new(arguments.viewers, arguments.spread_m),
@@ -373,6 +381,7 @@ fn measured(arguments: &LivingArguments) -> anyhow::Result<LivingReport> {
         steps: arguments.steps,
         samples: arguments.samples,
         samples_by_area: arguments.samples_by_area,
+        age_factor: arguments.age_factor,
         texels_at_start,
         texels,
         rays,
