@@ -378,9 +378,13 @@ impl Caches {
         self.spheres.get_mut(&id)?.remove(&key)
     }
 
-    /// Frames so far that were told by [`Self::frame_shown`].
-    #[must_use]
-    pub fn frame(&self) -> u64 {
+    /// What is wanted now counts as seen. Returns the number of a frame: what nobody has wanted since was seen in none from
+    /// that one on.
+    pub fn mark_seen(&mut self) -> u64 {
+        self.frame += 1;
+        for sphere in self.spheres.values_mut() {
+            sphere.touch(self.frame);
+        }
         self.frame
     }
 
@@ -398,6 +402,27 @@ impl Caches {
             }
         }
         count
+    }
+
+    /// Gives at most so many tiles that have the highest slots the lowest free ones, until all that are in use follow each other.
+    /// Returns from where to where, those that were highest first; what they hold is to be copied.
+    pub fn gather(&mut self, tiles_max: usize) -> Vec<(Slot, Slot)> {
+        let mut beyond: Vec<(Slot, SphereId, TileKey)> = Vec::new();
+        for (id, sphere) in &self.spheres {
+            let slots = sphere.slots_from(Slot(self.pool.used()));
+            beyond.extend(slots.map(|(slot, key)| (slot, *id, key)));
+        }
+        beyond.sort_unstable_by_key(|(slot, _, _)| std::cmp::Reverse(*slot));
+        let mut moved = Vec::new();
+        for (from, id, key) in beyond.into_iter().take(tiles_max) {
+            let (Some(to), Some(sphere)) = (self.pool.allocate(), self.spheres.get_mut(&id)) else {
+                break;
+            };
+            sphere.put_in(&key, to);
+            self.pool.release(from);
+            moved.push((from, to));
+        }
+        moved
     }
 
     /// An audit of some texels of a tile has found another mean deviation than was expected, both percent: the tile is taken to

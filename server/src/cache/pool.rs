@@ -1,7 +1,6 @@
 //! Slots of the atlas: who may write where.
 
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::BTreeSet;
 
 /// A place for one tile in the atlas.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -11,9 +10,10 @@ pub struct Slot(pub u32);
 #[derive(Debug)]
 pub struct SlotPool {
     limit: u32,
-    used: u32,
+    /// One more than the highest slot in use.
     next: u32,
-    free: BinaryHeap<Reverse<u32>>,
+    /// Those below it that are not.
+    free: BTreeSet<u32>,
 }
 
 impl SlotPool {
@@ -22,41 +22,36 @@ impl SlotPool {
     pub fn new(limit: u32) -> Self {
         Self {
             limit,
-            used: 0,
             next: 0,
-            free: BinaryHeap::new(),
+            free: BTreeSet::new(),
         }
     }
 
     /// The lowest free slot, or none at the limit.
     pub fn allocate(&mut self) -> Option<Slot> {
-        let slot = match self.free.pop() {
-            Some(Reverse(slot)) => slot,
+        let slot = match self.free.pop_first() {
+            Some(slot) => slot,
             None if self.next < self.limit => {
                 self.next += 1;
                 self.next - 1
             }
             None => return None,
         };
-        self.used += 1;
         Some(Slot(slot))
     }
 
     /// Takes a slot back.
     pub fn release(&mut self, slot: Slot) {
-        self.used -= 1;
-        self.free.push(Reverse(slot.0));
-        // Nothing in use: start again from the bottom.
-        if self.used == 0 {
-            self.free.clear();
-            self.next = 0;
+        self.free.insert(slot.0);
+        while self.next > 0 && self.free.remove(&(self.next - 1)) {
+            self.next -= 1;
         }
     }
 
     /// Slots in use.
     #[must_use]
     pub fn used(&self) -> u32 {
-        self.used
+        self.next - self.free.len() as u32
     }
 
     /// Slots that may be in use at most.
@@ -65,7 +60,7 @@ impl SlotPool {
         self.limit
     }
 
-    /// One more than the highest slot that was handed out since the pool was last empty.
+    /// One more than the highest slot in use; 0 where none is.
     #[must_use]
     pub fn high_water(&self) -> u32 {
         self.next
@@ -100,6 +95,8 @@ mod tests {
                 prop_assert_eq!(pool.used() as usize, held.len());
                 let distinct: HashSet<_> = held.iter().collect();
                 prop_assert_eq!(distinct.len(), held.len());
+                let highest = held.iter().map(|slot| slot.0 + 1).max();
+                prop_assert_eq!(pool.high_water(), highest.unwrap_or(0));
             }
         }
     }

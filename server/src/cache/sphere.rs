@@ -601,6 +601,20 @@ impl SphereCache {
         }
     }
 
+    /// The tiles in a slot or in a higher one.
+    pub(super) fn slots_from(&self, lowest: Slot) -> impl Iterator<Item = (Slot, TileKey)> + '_ {
+        let slots = self.tiles.iter().map(|(key, tile)| (tile.slot, *key));
+        slots.filter(move |(slot, _)| *slot >= lowest)
+    }
+
+    /// What a tile holds is in another slot.
+    pub(super) fn put_in(&mut self, key: &TileKey, slot: Slot) {
+        if let Some(tile) = self.tiles.get_mut(key) {
+            tile.slot = slot;
+            self.tables_changed = true;
+        }
+    }
+
     /// Takes a tile's slot away.
     pub(super) fn remove(&mut self, key: &TileKey) -> Option<Slot> {
         self.tables_changed = true;

@@ -538,17 +538,44 @@ fn what_nobody_wants_and_no_frame_has_shown_for_long_gives_its_slot_back() {
     caches.frame_shown(SPHERE.cell);
     // Two are looked at no more; the others are, in frames that follow.
     caches.sphere_mut(SPHERE).set_wanted(&[], &tiles[..2]);
-    let since = caches.frame();
-    assert_eq!(
-        caches.release_unseen(since),
-        0,
-        "they were seen in that frame"
-    );
-    caches.frame_shown(SPHERE.cell);
-    assert_eq!(caches.release_unseen(caches.frame()), 2);
+    assert_eq!(caches.release_unseen(1), 0, "they were seen in that frame");
+    let since = caches.mark_seen();
+    assert_eq!(caches.release_unseen(since), 2, "in none since");
     assert_eq!(caches.resident(), 2);
     assert!(!caches.has_work(at_origin), "what is wanted stays");
     // Whoever looks back has it marched again.
     caches.sphere_mut(SPHERE).set_wanted(&[], &tiles);
     assert_eq!(updates_until_converged(&mut caches), 2);
+}
+
+#[test]
+fn tiles_that_are_gathered_follow_each_other_and_only_those_beyond_move() {
+    let mut caches = Caches::new(20, 1);
+    let tiles: Vec<TileRequest> = (0..12).map(|x| request(tile(4, x, 0))).collect();
+    caches.sphere_mut(SPHERE).set_wanted(&[], &tiles);
+    updates_until_converged(&mut caches);
+    let slots = |caches: &Caches| -> Vec<Slot> {
+        let settled = caches.sphere(SPHERE).expect("a sphere");
+        let settled = settled.settled(TexelSamples::each(1));
+        settled.into_iter().map(|(_, slot)| slot).collect()
+    };
+    // Every third stays.
+    let kept: Vec<TileRequest> = tiles.iter().skip(2).step_by(3).copied().collect();
+    caches.sphere_mut(SPHERE).set_wanted(&[], &kept);
+    let since = caches.mark_seen();
+    assert_eq!(caches.release_unseen(since), 8);
+    let before = slots(&caches);
+    assert!(caches.slots_needed() > 4, "{before:?}");
+    let first = caches.gather(1);
+    let moved = [first, caches.gather(20)].concat();
+    assert_eq!(caches.gather(20), []);
+    let mut expected = before.clone();
+    for slot in &mut expected {
+        if let Some((_, to)) = moved.iter().find(|(from, _)| from == slot) {
+            *slot = *to;
+        }
+    }
+    assert_eq!(slots(&caches), expected);
+    assert!(moved.iter().all(|(from, to)| from.0 >= 4 && to.0 < 4));
+    assert_eq!((caches.slots_needed(), caches.resident()), (4, 4));
 }

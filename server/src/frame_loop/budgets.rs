@@ -18,6 +18,8 @@ const RATE_INTERVAL: Duration = Duration::from_millis(500);
 /// A tile that nobody wants and that was not seen for so long, or up to twice that, gives its slot back: where people travel
 /// memory holds what they look at, and not where they were.
 const UNSEEN_KEPT: Duration = Duration::from_secs(60);
+/// Tiles that move at a time: recording a copy takes the thread some microseconds.
+const MOVED_MAX: usize = 1024;
 /// From this share of a budget on, wishes are counted tile by tile; below it, it is enough that they fit.
 const COUNTED_FROM: f64 = 0.5;
 
@@ -166,13 +168,25 @@ impl SkyRenderer {
         was_coarse && !self.losses.rate().coarsens()
     }
 
-    /// Lets tiles go that nobody has looked at for long.
+    /// Lets tiles go that nobody has looked at for long, and pages of the atlas that are empty without them.
     pub(super) fn forget_unseen(&mut self, now: Instant) {
         let (marked, frame) = self.losses.unseen_since;
         if now.duration_since(marked) >= UNSEEN_KEPT {
             self.caches.release_unseen(frame);
-            self.losses.unseen_since = (now, self.caches.frame());
+            self.losses.unseen_since = (now, self.caches.mark_seen());
+            self.give_pages_back();
         }
+    }
+
+    /// Where half of the pages would do, tiles move together and the pages at the end go. Tables are to be told before the
+    /// next frame.
+    fn give_pages_back(&mut self) {
+        if !self.atlas.is_half_empty(self.caches.resident()) {
+            return;
+        }
+        let moved = self.caches.gather(MOVED_MAX);
+        self.atlas
+            .shrink(&self.gpu, self.caches.slots_needed(), &moved);
     }
 
     /// Levels that a cell has lost for want of memory and of time.

@@ -79,6 +79,45 @@ fn origins(gpu: &Gpu, pages: u32) -> wgpu::Texture {
     })
 }
 
+/// A tile's texels.
+const TILE: wgpu::Extent3d = wgpu::Extent3d {
+    width: TILE_STRIDE,
+    height: TILE_STRIDE,
+    depth_or_array_layers: 1,
+};
+
+/// Where a tile of a page begins.
+fn row_of_tile(index: u32, page: u32) -> wgpu::Origin3d {
+    wgpu::Origin3d {
+        x: 0,
+        y: index * TILE_STRIDE,
+        z: page,
+    }
+}
+
+/// Where a slot's tile begins.
+fn origin_of(slot: Slot) -> wgpu::Origin3d {
+    row_of_tile(slot.0 % TILES_PER_PAGE, slot.0 / TILES_PER_PAGE)
+}
+
+/// Which texel tells where a slot's rays started.
+fn place_of_origin(slot: Slot) -> wgpu::Origin3d {
+    wgpu::Origin3d {
+        x: slot.0 % ORIGINS_WIDTH,
+        y: slot.0 / ORIGINS_WIDTH,
+        z: 0,
+    }
+}
+
+fn at(texture: &wgpu::Texture, origin: wgpu::Origin3d) -> wgpu::TexelCopyTextureInfo<'_> {
+    wgpu::TexelCopyTextureInfo {
+        texture,
+        mip_level: 0,
+        origin,
+        aspect: wgpu::TextureAspect::All,
+    }
+}
+
 impl Atlas {
     /// An atlas without pages.
     #[must_use]
@@ -101,12 +140,27 @@ impl Atlas {
         (gpu.device.limits().max_texture_array_layers * TILES_PER_PAGE).min(0xffff)
     }
 
-    /// Makes room for slots below `slots`, or gives pages back when there are none. Contents stay.
+    /// Makes room for slots below `slots`, or gives all pages back when there are none. Contents stay.
     pub fn fit(&mut self, gpu: &Gpu, slots: u32) {
         let wanted = slots.div_ceil(TILES_PER_PAGE);
-        if wanted == self.pages || (wanted < self.pages && slots > 0) {
-            return;
+        if wanted > self.pages || (wanted == 0 && self.pages > 0) {
+            self.resize(gpu, wanted, &[]);
         }
+    }
+
+    /// Whether tiles would fit into half of the pages.
+    #[must_use]
+    pub fn is_half_empty(&self, tiles: u32) -> bool {
+        2 * tiles.div_ceil(TILES_PER_PAGE) <= self.pages && self.pages > 1
+    }
+
+    /// Gives the pages from `slots` on back. Tiles that were moved for that come from where they were.
+    pub fn shrink(&mut self, gpu: &Gpu, slots: u32, moved: &[(Slot, Slot)]) {
+        self.resize(gpu, slots.div_ceil(TILES_PER_PAGE), moved);
+    }
+
+    /// Other textures, with what is in the pages of both, and tiles that were moved.
+    fn resize(&mut self, gpu: &Gpu, wanted: u32, moved: &[(Slot, Slot)]) {
         let radiance = texture(gpu, "atlas radiance", wanted, RADIANCE);
         let distance = texture(gpu, "atlas distance", wanted, DISTANCE);
         let kept = self.pages.min(wanted);
@@ -115,7 +169,7 @@ impl Atlas {
             let mut encoder = gpu
                 .device
                 .create_command_encoder(&wgpu::CommandEncoderDescriptor {
-                    label: Some("grow atlas"),
+                    label: Some("resize atlas"),
                 });
             let extent = wgpu::Extent3d {
                 width: PAGE_WIDTH,
@@ -124,6 +178,13 @@ impl Atlas {
             };
             for (old, new) in [(&self.radiance, &radiance), (&self.distance, &distance)] {
                 encoder.copy_texture_to_texture(old.as_image_copy(), new.as_image_copy(), extent);
+                for (from, to) in moved {
+                    encoder.copy_texture_to_texture(
+                        at(old, origin_of(*from)),
+                        at(new, origin_of(*to)),
+                        TILE,
+                    );
+                }
             }
             let rows = self.origins.height().min(slot_origins.height());
             encoder.copy_texture_to_texture(
@@ -135,6 +196,13 @@ impl Atlas {
                     depth_or_array_layers: 1,
                 },
             );
+            for (from, to) in moved {
+                encoder.copy_texture_to_texture(
+                    at(&self.origins, place_of_origin(*from)),
+                    at(&slot_origins, place_of_origin(*to)),
+                    wgpu::Extent3d::default(),
+                );
+            }
             gpu.queue.submit([encoder.finish()]);
         } else {
             let working = wanted.min(1);
@@ -183,16 +251,7 @@ impl Atlas {
     pub fn set_origin(&self, gpu: &Gpu, slot: Slot, from_anchor: DVec3) {
         let [x, y, z] = from_anchor.as_vec3().to_array();
         gpu.queue.write_texture(
-            wgpu::TexelCopyTextureInfo {
-                texture: &self.origins,
-                mip_level: 0,
-                origin: wgpu::Origin3d {
-                    x: slot.0 % ORIGINS_WIDTH,
-                    y: slot.0 / ORIGINS_WIDTH,
-                    z: 0,
-                },
-                aspect: wgpu::TextureAspect::All,
-            },
+            at(&self.origins, place_of_origin(slot)),
             bytemuck::cast_slice(&[x, y, z, 0.0]),
             wgpu::TexelCopyBufferLayout {
                 offset: 0,
@@ -222,37 +281,18 @@ impl Atlas {
 
     /// Copies a tile between its slot and a place of the working page.
     fn copy(&self, encoder: &mut wgpu::CommandEncoder, slot: Slot, place: u32, stores: bool) {
-        let origin = |index: u32, page: u32| wgpu::Origin3d {
-            x: 0,
-            y: index * TILE_STRIDE,
-            z: page,
-        };
-        let extent = wgpu::Extent3d {
-            width: TILE_STRIDE,
-            height: TILE_STRIDE,
-            depth_or_array_layers: 1,
-        };
         for (pages, working) in [
             (&self.radiance, &self.previous_radiance),
             (&self.distance, &self.previous_distance),
         ] {
-            let at = |texture, origin| wgpu::TexelCopyTextureInfo {
-                texture,
-                mip_level: 0,
-                origin,
-                aspect: wgpu::TextureAspect::All,
-            };
-            let stored = at(
-                pages,
-                origin(slot.0 % TILES_PER_PAGE, slot.0 / TILES_PER_PAGE),
-            );
-            let worked = at(working, origin(place, 0));
+            let stored = at(pages, origin_of(slot));
+            let worked = at(working, row_of_tile(place, 0));
             let (from, to) = if stores {
                 (worked, stored)
             } else {
                 (stored, worked)
             };
-            encoder.copy_texture_to_texture(from, to, extent);
+            encoder.copy_texture_to_texture(from, to, TILE);
         }
     }
 }

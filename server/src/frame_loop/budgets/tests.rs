@@ -269,6 +269,46 @@ fn sixteen_viewers_leave_nothing_behind() {
     assert!(rounds[1].2 <= rounds[0].2 + aligned);
 }
 
+/// Pages of the atlas are given back though somebody stays whose tiles are in the last ones, and its picture is that of one who
+/// was always alone. (Before, it may show finer tiles of others.)
+#[test]
+fn who_stays_when_fifteen_leave_holds_and_sees_no_more_than_one_who_is_alone() {
+    let mut driven = Driven::configured(4, &calm(), &[], one_sample);
+    let ids = || (1..=16).map(ViewerId);
+    for id in ids() {
+        let yaw_deg = f64::from(id.0) * 22.5;
+        let view = view([320, 180], camera(0.0, yaw_deg));
+        driven.renderer.join(id, view);
+        driven.settle();
+    }
+    let stays = ViewerId(16);
+    let held = driven.renderer.cache_bytes();
+    for id in ids().filter(|id| *id != stays) {
+        driven.renderer.leave(id);
+    }
+    // Nobody moves: no frame is shown.
+    let now = Instant::now();
+    for minute in 1..=3 {
+        let now = now + Duration::from_secs(61 * minute);
+        driven.renderer.forget_unseen(now);
+        driven.renderer.refresh_cells();
+    }
+    assert_eq!(driven.renderer.march(1), [], "nothing is lost");
+    let left = driven.renderer.cache_bytes();
+    let mut alone = Driven::configured(4, &calm(), &[], one_sample);
+    alone
+        .renderer
+        .join(stays, view([320, 180], camera(0.0, 360.0)));
+    alone.settle();
+    println!("{held} bytes of sixteen, {left} when fifteen have left");
+    assert_eq!(left, alone.renderer.cache_bytes());
+    let off = apart(&driven.show(stays), &alone.show(stays));
+    println!("{off} steps of 8 bits from one who is alone");
+    // Filters round otherwise in another slot.
+    assert!(off < 0.002, "{off}");
+    assert!(2 * left < held, "{left} {held}");
+}
+
 #[test]
 fn marching_that_does_not_keep_up_takes_fewer_samples_and_says_so() {
     let mut driven = Driven::configured(4, &calm(), &[], |config| config.samples = Some(8));
