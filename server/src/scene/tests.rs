@@ -491,9 +491,10 @@ fn a_change_is_in_the_files_before_anybody_is_told_of_it() {
                 std::hint::spin_loop();
                 continue;
             }
+            // First, since another change may follow while files are read.
+            seen = changes.borrow_and_update().revision;
             let journal = fs::read_to_string(path.join("revisions.log")).expect("a journal");
             let scene = fs::read_to_string(path.join("scene.json")).expect("a scene");
-            seen = changes.borrow_and_update().revision;
             let is_kept =
                 [',', '}'].map(|next| journal.contains(&format!("\"revision\":{seen}{next}")));
             assert!(is_kept.contains(&true), "{seen}: {journal}");
