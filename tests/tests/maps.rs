@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
+use image::RgbImage;
 use serde_json::json;
 use skycell_client::{HttpApiError, MapChoice};
 use skycell_protocol::scene::MapKind;
@@ -20,6 +21,8 @@ type Outcome = anyhow::Result<()>;
 
 /// As in `end_to_end.rs`: pictures of other clouds differ by more, 8-bit steps in the mean.
 const OTHER_PICTURE: f64 = 1.0;
+/// And of the same ones by less.
+const SAME_PICTURE: f64 = 0.1;
 
 fn choice(kind: MapKind) -> MapChoice {
     MapChoice { kind, layer: None }
@@ -33,6 +36,20 @@ fn constant(value: f32) -> anyhow::Result<Vec<u8>> {
         values: vec![value],
     };
     Ok(map.encode(MapFileFormat::Png)?)
+}
+
+/// How far what a viewer is shown is from a picture in the end: on a busy machine the last frame of a sky that rests may come
+/// seconds after the one before.
+async fn comes_to(viewer: &Viewer, picture: &RgbImage) -> anyhow::Result<f64> {
+    let mut difference = f64::INFINITY;
+    for _ in 0..40 {
+        difference = mean_difference(&decoded(viewer.seen().frame()?)?, picture);
+        if difference < SAME_PICTURE {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(250)).await;
+    }
+    Ok(difference)
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -129,10 +146,9 @@ async fn a_sky_clears_at_once_gathers_over_time_comes_to_rest_and_survives_a_pow
     let server = Server::start_with(options).await?;
     let viewer = Viewer::join(&server, 0.0).await?;
     server.at_rest(1).await?;
-    let again = decoded(viewer.seen().frame()?)?;
-    let difference = mean_difference(&again, &overcast);
+    let difference = comes_to(&viewer, &overcast).await?;
     ensure!(
-        difference < 0.1,
+        difference < SAME_PICTURE,
         "the restarted sky differs by {difference}"
     );
 
@@ -142,9 +158,11 @@ async fn a_sky_clears_at_once_gathers_over_time_comes_to_rest_and_survives_a_pow
         .set_map(&coverage, None, Some(0.0), "*")
         .await?;
     server.at_rest(1).await?;
-    let reset = decoded(viewer.seen().frame()?)?;
-    let difference = mean_difference(&reset, &cloudy);
-    ensure!(difference < 0.1, "the reset sky differs by {difference}");
+    let difference = comes_to(&viewer, &cloudy).await?;
+    ensure!(
+        difference < SAME_PICTURE,
+        "the reset sky differs by {difference}"
+    );
     viewer.close().await;
     Ok(())
 }
