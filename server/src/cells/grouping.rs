@@ -181,17 +181,18 @@ impl Cells {
             let is_far = |reference_m: DVec3, position_m: DVec3| {
                 limit.distance_m(reference_m, position_m) > limit.radius_m()
             };
-            let places: Vec<(ViewerId, Place)> = cell
+            let members = cell
                 .members
                 .iter()
-                .filter_map(|viewer| Some((*viewer, *self.places.get(viewer)?)))
-                .collect();
-            if !places
-                .iter()
+                .filter_map(|viewer| Some((*viewer, self.places.get(viewer)?)));
+            if !members
+                .clone()
                 .any(|(_, place)| is_far(cell.reference_m, place.position_m))
             {
                 continue;
             }
+            let places: Vec<(ViewerId, Place)> =
+                members.map(|(viewer, place)| (viewer, *place)).collect();
             let mut reference_m = cell.reference_m;
             if let Some(strict) = self.few_who_ask_for_less(&places, reference_m) {
                 leaving.extend(strict);
@@ -416,6 +417,11 @@ impl Cells {
         let is_within = |from_m: DVec3, position_m: DVec3, share: f64| {
             limit.distance_m(from_m, position_m) <= share * limit.radius_m()
         };
+        let is_near = |position_m| is_within(cell.reference_m, position_m, ENTER_SHARE);
+        // Before the members are looked at: most cells that are passed have no room for where others are.
+        if !entering.iter().all(|place| is_near(place.position_m)) {
+            return false;
+        }
         let members: Vec<&Place> = cell
             .members
             .iter()
@@ -425,10 +431,7 @@ impl Cells {
         let velocity = members.iter().map(|place| place.velocity_m_per_s);
         let velocity = velocity.sum::<DVec3>() / count;
         let stays_near = |place: &Place| {
-            let ahead_m = (place.velocity_m_per_s - velocity) * AHEAD_S;
-            [place.position_m, place.position_m + ahead_m]
-                .iter()
-                .all(|position_m| is_within(cell.reference_m, *position_m, ENTER_SHARE))
+            is_near(place.position_m + (place.velocity_m_per_s - velocity) * AHEAD_S)
         };
         if !entering.iter().all(stays_near) {
             return false;

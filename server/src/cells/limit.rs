@@ -103,6 +103,9 @@ impl CellLimit {
     /// What keeps to both limits.
     #[must_use]
     pub fn narrower(self, other: Self) -> Self {
+        if self == other {
+            return self;
+        }
         let radius_up_m = |limit: Self| limit.radius_m / limit.up_weight;
         Self::new(
             self.radius_m.min(other.radius_m),

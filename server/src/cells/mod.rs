@@ -243,25 +243,36 @@ impl Cells {
     }
 
     fn enter(&mut self, viewer: ViewerId, cell: CellId) {
-        if let Some(cell) = self.cells.get_mut(&cell) {
-            cell.members.push(viewer);
+        let limit = self.places.get(&viewer).map(|place| self.limit_of(place));
+        let Some(entered) = self.cells.get_mut(&cell) else {
+            return;
+        };
+        entered.members.push(viewer);
+        // All members are looked at only where one more can make a difference: a crowd that merges must not cost its square.
+        if entered.members.len() == 1 || limit != Some(entered.limit) {
+            self.keep_to_limits(cell);
         }
-        self.keep_to_limits(cell);
     }
 
     /// Formed cells without members go.
     fn leave(&mut self, viewer: ViewerId, cell: CellId) {
-        if let Some(cell) = self.cells.get_mut(&cell) {
-            cell.members.retain(|member| *member != viewer);
-        }
-        if self
-            .cells
-            .get(&cell)
-            .is_some_and(|cell| !cell.placed && cell.members.is_empty())
-        {
+        let Some(left) = self.cells.get_mut(&cell) else {
+            return;
+        };
+        left.members.retain(|member| *member != viewer);
+        if !left.placed && left.members.is_empty() {
             self.cells.remove(&cell);
+        } else if !self.is_kept_narrow(cell) {
+            self.keep_to_limits(cell);
         }
-        self.keep_to_limits(cell);
+    }
+
+    /// Whether a member asks for what a cell keeps to. None asks for less, so it stays as it is.
+    fn is_kept_narrow(&self, id: CellId) -> bool {
+        self.cells.get(&id).is_some_and(|cell| {
+            let mut members = cell.members.iter().filter_map(|m| self.places.get(m));
+            members.any(|place| self.limit_of(place) == cell.limit)
+        })
     }
 
     /// The nearest placed cell that holds a position, measured in its own radius.

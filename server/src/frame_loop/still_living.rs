@@ -1,8 +1,9 @@
-//! Viewers of one cell while simulated time passes: what wind and turning heads cost, without a clock.
+//! Viewers of cells while simulated time passes: what wind and turning heads cost, without a clock.
 
 use super::auditing::AuditedTexel;
 use super::still::{BATCH_TILES, StillRenderer};
 use super::still_settings::StillSettings;
+use crate::cells::CellLimit;
 use crate::composite::{Picture, ground_key, with_parallax};
 use crate::gpu::{GpuError, read_buffer_blocking};
 use crate::march::AUDIT_TEXELS_MAX;
@@ -10,7 +11,7 @@ use skycell_protocol::{Camera, FrameSize, InputSequence, Scene, ViewerId};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Viewers who share a cell and stay while time passes.
+/// Viewers who share cells while time passes.
 #[derive(Debug)]
 pub struct LivingViewers {
     ids: Vec<ViewerId>,
@@ -19,7 +20,7 @@ pub struct LivingViewers {
 }
 
 impl StillRenderer {
-    /// Lets viewers share a cell from now on, with empty caches.
+    /// Lets viewers share cells no wider than a limit from now on, with empty caches.
     ///
     /// # Errors
     /// When a pipeline cannot be made.
@@ -28,12 +29,13 @@ impl StillRenderer {
         cameras: &[Camera],
         size: FrameSize,
         settings: &StillSettings,
+        limit: CellLimit,
     ) -> Result<LivingViewers, GpuError> {
         self.begin(settings)?;
         let renderer = &mut self.renderer;
         renderer.is_living = true;
         renderer.wind_is_searched = settings.parallax_steps > 0;
-        let ids = self.join_together(cameras, size, settings);
+        let ids = self.join_together(cameras, size, settings, limit);
         let viewers = LivingViewers {
             ids,
             size,
@@ -126,6 +128,13 @@ impl StillRenderer {
         self.march_all(false, |_| {})
     }
 
+    /// Cells with members.
+    #[must_use]
+    pub fn living_cells(&self) -> usize {
+        let cells = self.renderer.cells.iter();
+        cells.filter(|(_, cell)| !cell.members.is_empty()).count()
+    }
+
     /// What a viewer sees, as it is shown: 4 bytes a pixel.
     ///
     /// # Errors
@@ -204,7 +213,7 @@ mod tests {
         let mut still = StillRenderer::new(config, scene(0.0, 0.0), &[]).expect("a device");
         still.plant(edit).expect("shaders");
         let viewers = still
-            .begin_living(&[camera(0.0, 30.0)], size, &settings)
+            .begin_living(&[camera(0.0, 30.0)], size, &settings, CellLimit::default())
             .expect("viewers");
         still.settle_living().expect("marched");
         still.pretend_living(scene(1.0, 0.0)).expect("a scene");
@@ -253,7 +262,7 @@ mod tests {
         let mut still = StillRenderer::new(config, scene, &[]).expect("a device");
         let cameras = [camera(0.0, 30.0)];
         let viewers = still
-            .begin_living(&cameras, size, &settings)
+            .begin_living(&cameras, size, &settings, CellLimit::default())
             .expect("viewers");
         still.settle_living().expect("marched");
         (0..40)

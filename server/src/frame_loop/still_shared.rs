@@ -3,6 +3,7 @@
 use super::interface::CellStats;
 use super::still::StillRenderer;
 use super::still_settings::StillSettings;
+use crate::cells::CellLimit;
 use crate::composite::{Picture, ground_key};
 use crate::gpu::{GpuError, TimedPass, read_buffer_blocking};
 use serde::{Deserialize, Serialize};
@@ -48,7 +49,7 @@ impl StillRenderer {
         mut progress: impl FnMut(f64),
     ) -> Result<SharedFigures, GpuError> {
         self.begin(settings)?;
-        let ids = self.join_together(cameras, size, settings);
+        let ids = self.join_together(cameras, size, settings, CellLimit::default());
         let key = self.key_together(settings);
         let renderer = &mut self.renderer;
         renderer.pipelines.prepare(&renderer.gpu, key)?;

@@ -10,19 +10,20 @@ use skycell_protocol::{Camera, FrameSize, RendererKind, ViewerId};
 use skycell_shaders::Features;
 
 impl StillRenderer {
-    /// Lets viewers share a cell from now on. Nobody else is there.
+    /// Lets viewers share cells no wider than a limit from now on. Nobody else is there.
     pub(super) fn join_together(
         &mut self,
         cameras: &[Camera],
         size: FrameSize,
         settings: &StillSettings,
+        limit: CellLimit,
     ) -> Vec<ViewerId> {
         let renderer = &mut self.renderer;
         let before: Vec<ViewerId> = renderer.viewers.keys().copied().collect();
         for id in before {
             renderer.leave(id);
         }
-        renderer.cells = Cells::new(&[], CellLimit::default());
+        renderer.cells = Cells::new(&[], limit);
         let ids: Vec<ViewerId> = (1..).map(ViewerId).take(cameras.len()).collect();
         for (id, camera) in ids.iter().zip(cameras) {
             let view = ViewRequest {

@@ -4,6 +4,7 @@
 //! compares them by `metrics`, `store` keeps them; `front` finds what nothing beats; `report` and `quality` write it down.
 
 mod ageing;
+mod animation;
 mod arguments;
 pub mod codec;
 pub mod distance;
@@ -20,6 +21,7 @@ pub mod reference;
 pub mod report;
 pub mod scaling;
 pub mod settings;
+mod sheet;
 pub mod store;
 pub mod sweep;
 mod trade;

@@ -11,6 +11,7 @@ use super::progress::{Progress, spoken};
 use super::reference::without_alpha;
 use super::store::write_json;
 use crate::cache::AgeingRates;
+use crate::cells::CellLimit;
 use crate::config::FrameFilter;
 use crate::frame_loop::{AuditedTexel, LivingViewers, StillRenderer, StillSettings};
 use crate::march::MarchSettings;
@@ -193,7 +194,9 @@ impl Bench<'_> {
         self.living.set_scene(still_scene)?;
         let settings = self.settings(RendererKind::Cached, samples);
         let size = self.arguments.size;
-        let viewers = self.living.begin_living(&self.cameras, size, &settings)?;
+        let viewers =
+            self.living
+                .begin_living(&self.cameras, size, &settings, CellLimit::default())?;
         self.living.settle_living()?;
         self.living.pretend_living(changed.clone())?;
         let way_m = match cause {

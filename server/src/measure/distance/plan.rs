@@ -171,6 +171,15 @@ impl Variant {
         }
     }
 
+    /// As it is asked for, and as files are named.
+    ///
+    /// # Errors
+    /// Never for any of these.
+    pub fn file_name(self) -> serde_json::Result<String> {
+        let name = serde_json::to_value(self)?;
+        serde_json::from_value(name)
+    }
+
     /// Slabs of a layer.
     #[must_use]
     pub const fn slabs(self) -> u32 {

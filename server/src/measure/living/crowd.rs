@@ -17,19 +17,24 @@ const PITCH_DEG: [f64; 2] = [20.0, 8.0];
 pub(super) struct LookingCrowd {
     viewers: u32,
     spread_m: f64,
+    walk_m_per_s: f64,
 }
 
 impl LookingCrowd {
-    /// So many, in a circle of this radius.
+    /// So many, in a circle of this radius that goes east.
     #[must_use]
-    pub(super) fn new(viewers: u32, spread_m: f64) -> Self {
-        Self { viewers, spread_m }
+    pub(super) fn new(viewers: u32, spread_m: f64, walk_m_per_s: f64) -> Self {
+        Self {
+            viewers,
+            spread_m,
+            walk_m_per_s,
+        }
     }
 
     /// Where one looks.
     ///
     /// # Errors
-    /// When there is no such camera: never for finite times and spreads.
+    /// When there is no such camera: never for finite times, spreads and speeds.
     pub(super) fn camera(&self, viewer: usize, at_s: f64) -> anyhow::Result<Camera> {
         let place = viewer as f64 / f64::from(self.viewers.max(1));
         let towards_deg = 360.0 * place;
@@ -46,12 +51,12 @@ impl LookingCrowd {
         // The golden ratio again: they fill the circle, not its rim.
         let away_m = self.spread_m * (viewer as f64 * 0.618).fract().sqrt();
         Camera::new(
-            [away_m * sin, EYE_M, away_m * cos],
+            [away_m * sin + self.walk_m_per_s * at_s, EYE_M, away_m * cos],
             yaw_deg.rem_euclid(360.0),
             pitch_deg,
             FOV_DEG,
         )
-        .context("a viewer (--spread-m)")
+        .context("a viewer (--spread-m, --walk-m-per-s)")
     }
 
     /// Where all look.

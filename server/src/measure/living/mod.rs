@@ -1,20 +1,25 @@
 //! `skycell-server measure living`: viewers who look around under wind, from caches that are kept alive.
 //!
-//! `crowd` says where they look; this counts texels and compares pictures.
+//! `crowd` says where they are and look, `caches` are what they read; this lets time pass, counts texels and compares
+//! pictures.
 
+mod caches;
 mod crowd;
 
 use super::arguments::parsed_size;
-use super::metrics::{ShownErrors, shown_errors};
+use super::metrics::shown_errors;
 use super::progress::{Progress, spoken};
 use super::reference::without_alpha;
-use super::store::write_json;
+use super::sheet::sheet;
+use super::store::{write_json, write_whole};
+use crate::cells::CellLimit;
 use crate::config::{AGE_FACTOR, FrameFilter, RenderConfig};
-use crate::frame_loop::{LivingViewers, StillRenderer, StillSettings};
+use crate::frame_loop::{StillRenderer, StillSettings};
 use crate::march::MarchSettings;
 use crate::quality::default_parallax_steps;
 use crate::render_command::{Folders, read_scene};
 use anyhow::{Context, ensure};
+use caches::{LivingCaches, LivingFigures, LivingPicture};
 use crowd::LookingCrowd;
 use image::RgbImage;
 use serde::Serialize;
@@ -26,8 +31,6 @@ use std::time::Instant;
 
 /// GPU memory for the cache.
 const CACHE_MEMORY_MIB: u32 = 3072;
-/// Texels that are audited in a simulated second, as many as a server audits while frames wait.
-const AUDITED_PER_S: usize = 64;
 
 /// What `measure living` is asked for.
 #[derive(Clone, Debug, clap::Args)]
@@ -47,6 +50,12 @@ pub struct LivingArguments {
     /// Radius of the circle in which they stand, m.
     #[arg(long, default_value_t = 5.0)]
     pub spread_m: f64,
+    /// Speed at which all of them go east together, m/s.
+    #[arg(long, default_value_t = 0.0)]
+    pub walk_m_per_s: f64,
+    /// Measure it a second time, with a cell for each viewer.
+    #[arg(long)]
+    pub beside_own_cells: bool,
     /// Size of the pictures.
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = parsed_size, default_value = "160x90")]
     pub size: FrameSize,
@@ -80,7 +89,8 @@ pub struct LivingArguments {
     /// Most places at which a viewer looks for what texels show; 0: on the spheres alone.
     #[arg(long)]
     pub parallax_steps: Option<u32>,
-    /// Write compared pictures into the folder.
+    /// Write compared pictures into the folder, and a sheet of four of the first viewer's moments: rows of rays, of shared cells,
+    /// and with --beside-own-cells of those.
     #[arg(long)]
     pub pictures: bool,
     /// Folder in which noise is kept.
@@ -89,18 +99,6 @@ pub struct LivingArguments {
     /// Print the report as JSON.
     #[arg(long)]
     pub json: bool,
-}
-
-/// A picture from living caches against one of the same moment.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct LivingPicture {
-    /// When, s.
-    pub at_s: f64,
-    /// Whose.
-    pub viewer: usize,
-    /// How far it is from the screen-space renderer's.
-    #[serde(flatten)]
-    pub errors: ShownErrors,
 }
 
 /// All that is reported.
@@ -114,6 +112,10 @@ pub struct LivingReport {
     pub size: FrameSize,
     /// Who looks around.
     pub viewers: u32,
+    /// Radius of the circle in which they are, m.
+    pub spread_m: f64,
+    /// Speed at which it goes east, m/s.
+    pub walk_m_per_s: f64,
     /// Simulated seconds.
     pub seconds: f64,
     /// Frames a second.
@@ -128,57 +130,39 @@ pub struct LivingReport {
     pub samples_by_area: bool,
     /// How old what is marched may become, times what is usual.
     pub age_factor: f64,
-    /// Texels marched until nothing was left to do, before time began.
-    pub texels_at_start: u64,
-    /// Texels marched while it passed.
-    pub texels: u64,
     /// Rays of a screen-space renderer with one ray a pixel, frame and viewer.
     pub rays: u64,
-    /// Texels for each of those rays.
-    pub texels_per_ray: f64,
-    /// Mean FLIP of the pictures before time began, when all was marched: the cache's own error.
-    pub flip_at_start: f64,
-    /// Mean SSIM of those.
-    pub ssim_at_start: f64,
-    /// Mean FLIP of all later pictures.
-    pub flip: f64,
-    /// The largest.
-    pub flip_most: f64,
-    /// Mean SSIM.
-    pub ssim: f64,
-    /// The smallest.
-    pub ssim_least: f64,
-    /// Mean deviation of audited texels at the end, percent.
-    pub audit_mean_percent: f64,
-    /// Every picture.
-    pub pictures: Vec<LivingPicture>,
+    /// With cells as they form.
+    #[serde(flatten)]
+    pub shared: LivingFigures,
+    /// With a cell for each viewer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub own_cells: Option<LivingFigures>,
     /// How long the run took, s.
     pub wall_s: f64,
 }
 
 impl LivingReport {
     fn told(&self) -> String {
-        format!(
-            "{} viewers, {}x{}, {} s at {} fps, mip bias {}: {} texels for {} rays, 1/{:.1}\n\
-             FLIP {:.4} in the mean, {:.4} at most; SSIM {:.4}, {:.4} at least; before time began {:.4} and {:.4}\n\
-             audit: {:.2} % in the mean",
+        let mut told = format!(
+            "{} viewers, {}x{}, {} s at {} fps, mip bias {}, age factor {}: {}",
             self.viewers,
             self.size.width(),
             self.size.height(),
             self.seconds,
             self.fps,
             self.mip_bias,
-            self.texels,
-            self.rays,
-            1.0 / self.texels_per_ray.max(1e-9),
-            self.flip,
-            self.flip_most,
-            self.ssim,
-            self.ssim_least,
-            self.flip_at_start,
-            self.ssim_at_start,
-            self.audit_mean_percent,
-        )
+            self.age_factor,
+            self.shared.told(self.rays),
+        );
+        if let Some(own) = &self.own_cells {
+            told += &format!(
+                "\na cell for each: {}\n{:.1} times as many texels",
+                own.told(self.rays),
+                own.texels as f64 / (self.shared.texels as f64).max(1.0)
+            );
+        }
+        told
     }
 }
 
@@ -203,6 +187,25 @@ pub(super) fn run(arguments: &LivingArguments) -> anyhow::Result<()> {
 }
 
 impl LivingArguments {
+    fn check(&self) -> anyhow::Result<()> {
+        ensure!(
+            self.seconds > 0.0 && self.seconds <= 3_600.0,
+            "--seconds is {}; allowed: above 0, up to 3600",
+            self.seconds
+        );
+        ensure!(
+            self.texels_per_ray > 0.0 && self.texels_per_ray <= 100.0,
+            "--texels-per-ray is {}; allowed: above 0, up to 100",
+            self.texels_per_ray
+        );
+        ensure!(
+            (0.0..=1_000.0).contains(&self.walk_m_per_s),
+            "--walk-m-per-s is {}; allowed: 0 to 1000",
+            self.walk_m_per_s
+        );
+        Ok(())
+    }
+
     /// The scene with the wind that is asked for.
     fn windy_scene(&self) -> anyhow::Result<Scene> {
         let scene = read_scene(self.scene.as_deref())?.at_sky_s(0.0);
@@ -226,155 +229,177 @@ impl LivingArguments {
             ..StillSettings::default()
         }
     }
+
+    fn tiles_per_turn(&self) -> f64 {
+        self.texels_per_ray * self.rays_per_frame() as f64 / crate::cache::TEXELS_PER_TILE as f64
+    }
+
+    fn rays_per_frame(&self) -> u64 {
+        u64::from(self.viewers) * u64::from(self.size.pixels())
+    }
 }
 
-/// Both renderers, in the same moment.
+/// All renderers, in the same moment.
 struct Bench<'a> {
     arguments: &'a LivingArguments,
     crowd: LookingCrowd,
-    living: StillRenderer,
+    /// Cells as they form, and where that is asked for a cell for each.
+    caches: Vec<LivingCaches>,
     exact: StillRenderer,
     exact_s: f64,
+    /// The first viewer's pictures: what is exact, then from the caches.
+    rows: Vec<(String, Vec<RgbImage>)>,
 }
 
-impl Bench<'_> {
-    fn compared(
-        &mut self,
-        viewers: &LivingViewers,
-        viewer: usize,
-        at_s: f64,
-    ) -> anyhow::Result<LivingPicture> {
+impl<'a> Bench<'a> {
+    fn new(arguments: &'a LivingArguments, scene: &Arc<Scene>) -> anyhow::Result<Self> {
+        let folders = Folders::of(
+            arguments.scene.as_deref(),
+            arguments.noise_cache_dir.as_ref(),
+        );
+        let config = RenderConfig {
+            age_factor: AGE_FACTOR.check("--age-factor", arguments.age_factor)?,
+            ..folders.render_config(CACHE_MEMORY_MIB)
+        };
+        let crowd = LookingCrowd::new(
+            arguments.viewers,
+            arguments.spread_m,
+            arguments.walk_m_per_s,
+        );
+        let mut limits = vec![("shared", CellLimit::default())];
+        if arguments.beside_own_cells {
+            limits.push(("own-cells", CellLimit::new(0.0, 0.0)));
+        }
+        let settings = arguments.settings(RendererKind::Cached);
+        let cameras = crowd.cameras(0.0)?;
+        let caches = limits
+            .into_iter()
+            .map(|(name, limit)| {
+                let still = StillRenderer::new(config.clone(), scene.clone(), &[])?;
+                LivingCaches::begin(name, still, &cameras, arguments.size, &settings, limit)
+            })
+            .collect::<anyhow::Result<Vec<_>>>()?;
+        let names = caches.iter().map(LivingCaches::name);
+        let rows = ["exact"].into_iter().chain(names);
+        Ok(Self {
+            arguments,
+            crowd,
+            rows: rows.map(|name| (name.to_owned(), Vec::new())).collect(),
+            caches,
+            exact: StillRenderer::new(config, scene.clone(), &[])?,
+            exact_s: 0.0,
+        })
+    }
+
+    /// Compares what a viewer sees; returns its mean FLIP from cells as they form.
+    fn compare(&mut self, viewer: usize, at_s: f64) -> anyhow::Result<f64> {
         let size = self.arguments.size;
         let picture = |display: &[u8]| {
             RgbImage::from_raw(size.width(), size.height(), without_alpha(display))
                 .context("the device gave a picture of another size")
         };
-        let shown = picture(&self.living.show_living(viewers, viewer)?)?;
         self.exact.advance_time(at_s - self.exact_s);
         self.exact_s = at_s;
         let camera = self.crowd.camera(viewer, at_s)?;
         let settings = self.arguments.settings(RendererKind::ScreenSpace);
         let exact = self.exact.render_with(camera, size, &settings, |_| {})?;
-        let exact = picture(&exact.display)?;
-        let errors = shown_errors(&exact, &shown)?;
+        let mut shown = vec![picture(&exact.display)?];
+        for caches in &mut self.caches {
+            let seen = picture(&caches.show(viewer)?)?;
+            let errors = shown_errors(&shown[0], &seen)?;
+            ensure!(
+                errors.flip.is_finite(),
+                "a picture has values that are no numbers"
+            );
+            caches.note(LivingPicture {
+                at_s,
+                viewer,
+                errors,
+            });
+            shown.push(seen);
+        }
         if self.arguments.pictures {
-            for (name, picture) in [("living", &shown), ("exact", &exact)] {
+            for ((name, row), picture) in self.rows.iter_mut().zip(shown) {
                 let file = format!("{at_s:05.1}-{viewer}-{name}.png");
                 picture.save(self.arguments.out.join(file))?;
+                if viewer == 0 {
+                    row.push(picture);
+                }
             }
         }
-        ensure!(
-            errors.flip.is_finite(),
-            "a picture has values that are no numbers"
-        );
-        Ok(LivingPicture {
-            at_s,
-            viewer,
-            errors,
-        })
+        Ok(self.caches[0].last_flip())
+    }
+
+    /// Lets time pass from one turn to another.
+    fn pass(&mut self, turns: std::ops::Range<u64>) -> anyhow::Result<()> {
+        let fps = f64::from(self.arguments.fps);
+        let tiles = self.arguments.tiles_per_turn();
+        for turn in turns {
+            let cameras = self.crowd.cameras((turn + 1) as f64 / fps)?;
+            for caches in &mut self.caches {
+                caches.turn(&cameras, 1.0 / fps, tiles)?;
+                if (turn + 1) % u64::from(self.arguments.fps) == 0 {
+                    caches.audit()?;
+                }
+            }
+        }
+        Ok(())
     }
 }
 
 fn measured(arguments: &LivingArguments) -> anyhow::Result<LivingReport> {
     let begun = Instant::now();
-    ensure!(
-        arguments.seconds > 0.0 && arguments.seconds <= 3_600.0,
-        "--seconds is {}; allowed: above 0, up to 3600",
-        arguments.seconds
-    );
-    ensure!(
-        arguments.texels_per_ray > 0.0 && arguments.texels_per_ray <= 100.0,
-        "--texels-per-ray is {}; allowed: above 0, up to 100",
-        arguments.texels_per_ray
-    );
+    arguments.check()?;
     let scene = Arc::new(arguments.windy_scene()?);
     std::fs::create_dir_all(&arguments.out)
         .with_context(|| format!("--out {} cannot be made", arguments.out.display()))?;
-    let folders = Folders::of(
-        arguments.scene.as_deref(),
-        arguments.noise_cache_dir.as_ref(),
-    );
-    let config = RenderConfig {
-        age_factor: AGE_FACTOR.check("--age-factor", arguments.age_factor)?,
-        ..folders.render_config(CACHE_MEMORY_MIB)
-    };
-    let mut bench = Bench {
-        arguments,
-        crowd: LookingCrowd::new(arguments.viewers, arguments.spread_m),
-        living: StillRenderer::new(config.clone(), scene.clone(), &[])?,
-        exact: StillRenderer::new(config, scene.clone(), &[])?,
-        exact_s: 0.0,
-    };
-    let settings = arguments.settings(RendererKind::Cached);
-    let cameras = bench.crowd.cameras(0.0)?;
-    let viewers = bench
-        .living
-        .begin_living(&cameras, arguments.size, &settings)?;
-    bench.living.settle_living()?;
-    let texels_at_start = bench.living.totals().texels_updated;
+    let mut bench = Bench::new(arguments, &scene)?;
     let mut progress = Progress::new(
         u64::from(arguments.moments) + 1,
         f64::from(arguments.moments),
     );
     progress.begin("before time", 0.0);
     let count = arguments.viewers as usize;
-    let start = [
-        bench.compared(&viewers, 0, 0.0)?,
-        bench.compared(&viewers, count / 2, 0.0)?,
-    ];
-    progress.done(&format!("FLIP {:.4}", start[0].errors.flip));
+    let flip = bench.compare(0, 0.0)?;
+    bench.compare(count / 2, 0.0)?;
+    for caches in &mut bench.caches {
+        caches.start();
+    }
+    progress.done(&format!("FLIP {flip:.4}"));
     let fps = f64::from(arguments.fps);
-    let rays_per_frame = u64::from(arguments.viewers) * u64::from(arguments.size.pixels());
-    let tiles_per_turn =
-        arguments.texels_per_ray * rays_per_frame as f64 / crate::cache::TEXELS_PER_TILE as f64;
     let turns = (arguments.seconds * fps).round().max(1.0) as u64;
     let moments = u64::from(arguments.moments).min(turns);
-    let mut pictures = Vec::new();
-    let mut deviations = Vec::new();
-    let mut credit = 0.0;
     for moment in 0..moments {
         progress.begin(&format!("moment {}", moment + 1), 1.0);
-        let before = bench.living.totals().texels_updated;
+        let before = bench.caches[0].texels();
         let until = (moment + 1) * turns / moments;
         let from = moment * turns / moments;
-        for turn in from..until {
-            let at_s = (turn + 1) as f64 / fps;
-            credit += tiles_per_turn;
-            let cameras = bench.crowd.cameras(at_s)?;
-            let marched =
-                bench
-                    .living
-                    .turn_living(&viewers, &cameras, 1.0 / fps, credit as usize)?;
-            // What is not wanted now is not saved up for later, but for less than a tile.
-            credit = (credit - marched as f64).min(1.0);
-            if (turn + 1) % u64::from(arguments.fps) == 0 {
-                deviations = bench.living.audit_living(AUDITED_PER_S)?;
-            }
-        }
+        bench.pass(from..until)?;
         let at_s = until as f64 / fps;
         // Those who are shown change from moment to moment.
         for viewer in [0, count / 2] {
             let viewer = (viewer + 3 * moment as usize) % count;
-            pictures.push(bench.compared(&viewers, viewer, at_s)?);
+            bench.compare(viewer, at_s)?;
         }
-        let flip = pictures.last().map_or(0.0, |p| p.errors.flip);
-        let marched = bench.living.totals().texels_updated - before;
-        let share = marched as f64 / ((until - from) * rays_per_frame) as f64;
+        let flip = bench.caches[0].last_flip();
+        let marched = bench.caches[0].texels() - before;
+        let share = marched as f64 / ((until - from) * arguments.rays_per_frame()) as f64;
         progress.done(&format!("{share:.4} texels per ray, FLIP {flip:.4}"));
     }
     progress.finish();
-    let texels = bench.living.totals().texels_updated - texels_at_start;
-    let rays = rays_per_frame * turns;
-    let mean = |of: &[LivingPicture], value: fn(&ShownErrors) -> f64| {
-        of.iter().map(|p| value(&p.errors)).sum::<f64>() / of.len().max(1) as f64
-    };
-    let flips = pictures.iter().map(|p| p.errors.flip);
-    let ssims = pictures.iter().map(|p| p.errors.ssim);
+    if arguments.pictures {
+        let sheet = sheet(&bench.rows)?;
+        write_whole(&arguments.out.join("sheet.jpg"), &sheet)?;
+    }
+    let rays = arguments.rays_per_frame() * turns;
+    let mut figures = bench.caches.iter().map(|caches| caches.figures(rays));
     Ok(LivingReport {
-        adapter: bench.living.adapter(),
+        adapter: bench.exact.adapter(),
         scene: serde_json::to_value(scene.to_document())?,
         size: arguments.size,
         viewers: arguments.viewers,
+        spread_m: arguments.spread_m,
+        walk_m_per_s: arguments.walk_m_per_s,
         seconds: arguments.seconds,
         fps: arguments.fps,
         mip_bias: arguments.mip_bias,
@@ -382,19 +407,9 @@ fn measured(arguments: &LivingArguments) -> anyhow::Result<LivingReport> {
         samples: arguments.samples,
         samples_by_area: arguments.samples_by_area,
         age_factor: arguments.age_factor,
-        texels_at_start,
-        texels,
         rays,
-        texels_per_ray: texels as f64 / rays as f64,
-        flip_at_start: mean(&start, |e| e.flip),
-        ssim_at_start: mean(&start, |e| e.ssim),
-        flip: mean(&pictures, |e| e.flip),
-        flip_most: flips.fold(0.0, f64::max),
-        ssim: mean(&pictures, |e| e.ssim),
-        ssim_least: ssims.fold(1.0, f64::min),
-        audit_mean_percent: deviations.iter().map(|t| t.deviation_percent).sum::<f64>()
-            / deviations.len().max(1) as f64,
-        pictures,
+        shared: figures.next().context("no caches")?,
+        own_cells: figures.next(),
         wall_s: begun.elapsed().as_secs_f64(),
     })
 }

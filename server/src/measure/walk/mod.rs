@@ -1,15 +1,16 @@
 //! `skycell-server measure walk`: pictures in motion. Stills do not show what swims or pops.
 //!
 //! An eye leaves the reference point of its cell while the texels stay, and each frame is rendered from the cache and by
-//! rays of its own. `motion` tells how the one sequence moves beside the other, `sheet` lays frames out on one picture.
+//! rays of its own. `motion` tells how the one sequence moves beside the other.
 
 pub mod motion;
-mod sheet;
 
+use super::animation::side_by_side;
 use super::arguments::parsed_size;
 use super::distance::plan::{Fineness, Variant};
 use super::distance::{rgb_of, still_of};
 use super::progress::{Progress, spoken};
+use super::sheet::sheet;
 use super::store::{write_json, write_whole};
 use crate::frame_loop::{FrameCosts, StillFrame, StillRenderer};
 use crate::render_command::read_scene;
@@ -61,7 +62,7 @@ impl Way {
 /// What `measure walk` is asked for.
 #[derive(Clone, Debug, clap::Args)]
 pub struct WalkArguments {
-    /// Folder of frames, sheets and walk.json.
+    /// Folder of frames, sheets, animated PNGs (own rays beside each variant) and walk.json.
     #[arg(long, default_value = "skycell-walk", value_name = "DIR")]
     pub out: PathBuf,
     /// Scene document; the default scene without it. The wind stands still.
@@ -85,6 +86,9 @@ pub struct WalkArguments {
     /// Frames of a sequence, the one at the reference among them.
     #[arg(long, default_value_t = 61, value_parser = clap::value_parser!(u32).range(3..=2000))]
     pub frames: u32,
+    /// Frames a second of the animations.
+    #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u16).range(1..=60))]
+    pub fps: u16,
     /// How far the eye is from the reference in the first frame, m.
     #[arg(long, default_value_t = 0.0, value_parser = super::arguments::parsed_metres)]
     pub from_m: f64,
@@ -175,9 +179,12 @@ pub(super) fn run(arguments: &WalkArguments) -> anyhow::Result<()> {
                 variant: *variant,
                 motion: Motion::of(&own, &seen)?,
             });
+            let animation = side_by_side(&own, &seen, arguments.fps)?;
+            let name = format!("{}-{}.png", way.name(), variant.file_name()?);
+            write_whole(&arguments.out.join(name), &animation)?;
             rows.push((variant.name().to_owned(), seen));
         }
-        let sheet = sheet::sheet(&rows)?;
+        let sheet = sheet(&rows)?;
         write_whole(&arguments.out.join(format!("{}.jpg", way.name())), &sheet)?;
     }
     walker.progress.finish();
@@ -302,8 +309,7 @@ impl Walker<'_> {
             .iter()
             .map(|display| rgb_of(size, display))
             .collect::<anyhow::Result<Vec<_>>>()?;
-        let name = serde_json::to_value(variant)?;
-        self.write(way, name.as_str().unwrap_or_default(), &pictures)?;
+        self.write(way, &variant.file_name()?, &pictures)?;
         self.progress.done("rendered");
         Ok(pictures)
     }
