@@ -290,6 +290,23 @@ target_folder() {
     esac
 }
 
+# say_disk GB: says where less is free than building from nothing takes. Linkers on a full disk end with a bus error, which
+# nobody would understand.
+say_disk() {
+    local wanted_gb="$1" folder free_kb used_kb
+    folder="$(target_folder)"
+    used_kb=0
+    if [[ -d "$folder" ]]; then
+        used_kb="$(du -sk "$folder" | cut -f 1)"
+    else
+        folder="$repository"
+    fi
+    free_kb="$(df -Pk "$folder" | awk 'NR == 2 { print $4 }')"
+    if ((free_kb + used_kb < wanted_gb * 1000000)); then
+        say "$((free_kb / 1000)) MB are free in $folder, where $((used_kb / 1000)) MB are built already: to build all takes about $wanted_gb GB"
+    fi
+}
+
 # For --check: says what is missing and ends.
 check_and_exit() {
     if ((${#missing_packages[@]} == 0)); then

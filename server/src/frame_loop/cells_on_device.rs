@@ -10,25 +10,11 @@ use crate::cache::{
 use crate::composite::view_frustum;
 use crate::march::{
     ActiveLayer, CellBuffers, CellFrame, MarchSettings, PROXIES_MAX, Proxy, REACH_M, Side,
-    drift_m_per_s, scene_uniform,
+    anchor_off_max_m, drift_m_per_s, scene_uniform,
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, Scene, ViewerId};
 use std::time::{Duration, Instant};
-
-/// Beyond this distance between anchor and reference the cache's texels no longer have even sizes for the viewers.
-const ANCHOR_DRIFT_MAX_M: f64 = 4_000.0;
-/// The same upwards and downwards, as a share of the height of the proxy sphere above the reference: from an anchor that is
-/// farther below, texels over the viewers are twice as wide as high. After a jump from the ground to 5 m under a base of 1.5 km
-/// a picture was 2.5 steps of 8 bits off in the mean, with a new anchor 0.1 (320×180).
-const ANCHOR_RISE_MAX: f64 = 0.5;
-/// Heights above the reference count as this at least, m.
-const SPHERE_HEIGHT_MIN_M: f64 = 100.0;
-
-/// The same about a dome that keeps the far part of a layer, m. Tuned: after a climb by 595 m about one anchor, tiles that were
-/// carried over showed clouds where they had been (`--test camera_anywhere`: FLIP .057 instead of .025); with 250 m new anchors
-/// in the midst of a climb are a step of .045 when it ends (`frame_loop::sides`).
-const ANCHOR_IN_LAYER_MAX_M: f64 = 500.0;
 
 /// Under wind tiles move past the viewers; what they need is looked up this often. At 50 m/s that is 2.5 m.
 const REQUESTS_INTERVAL: Duration = Duration::from_millis(50);
@@ -446,26 +432,14 @@ impl SkyRenderer {
             let off = self.anchor_m(cell, place) - reference;
             let altitude_m = cell.frame.altitude_m(reference);
             let shell = &self.scene.layers()[layer.scene_index];
-            let [base_m, top_m] = [shell.base_altitude_m(), shell.top_altitude_m()];
-            // Rays from above that graze the layer meet the surface about an anchor that is no lower than half way to the top.
-            let height_m = if altitude_m > top_m {
-                altitude_m - top_m
-            } else {
-                layer.proxy_altitude_m - altitude_m
-            };
-            let is_within = altitude_m >= base_m && altitude_m <= top_m;
-            let rise_max_m = if is_within {
-                ANCHOR_IN_LAYER_MAX_M
-            } else {
-                ANCHOR_RISE_MAX * height_m.abs().max(SPHERE_HEIGHT_MIN_M)
-            };
-            let [aside_max_m, rise_max_m] =
-                self.anchors_may_be_off(cell, [ANCHOR_DRIFT_MAX_M, rise_max_m]);
-            let aside_max_m = if is_within && self.keeps_far_parts() {
-                aside_max_m.min(ANCHOR_IN_LAYER_MAX_M)
-            } else {
-                aside_max_m
-            };
+            let between_m = [shell.base_altitude_m(), shell.top_altitude_m()];
+            let of_shells_m = anchor_off_max_m(
+                between_m,
+                layer.proxy_altitude_m,
+                altitude_m,
+                self.keeps_far_parts(),
+            );
+            let [aside_max_m, rise_max_m] = self.anchors_may_be_off(cell, of_shells_m);
             off.with_y(0.0).length() > aside_max_m
                 || (is_read && off.y.abs() > rise_max_m)
                 || (is_read && !self.is_anchored_aright(cell, place))

@@ -1,5 +1,6 @@
 //! From the scene document to marched light: what the marching kernels read, the atlas that they fill, their passes.
 
+mod anchors;
 mod atlas;
 mod audit;
 mod blue_noise;
@@ -21,6 +22,7 @@ mod uniforms;
 mod window;
 mod window_pass;
 
+pub use anchors::anchor_off_max_m;
 pub use atlas::{Atlas, TILES_PER_PAGE};
 pub use audit::{AUDIT_PLACES, AUDIT_TEXELS_MAX, AuditGroup, AuditMarch, audit_key, finer};
 pub use blue_noise::{BLUE_NOISE_SIZE, blue_noise_words};

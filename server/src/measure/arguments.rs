@@ -74,10 +74,12 @@ pub enum Measurement {
     /// folder of --out, beside the rates that caches reckon with.
     #[command(after_help = "Example: skycell-server measure ageing --quick --out ageing")]
     Ageing(Box<AgeingArguments>),
-    /// What caches cost that live: viewers of one cell look around under wind for simulated minutes, texels are counted against
-    /// the rays of a screen-space renderer for each, and pictures are compared with its: living.json in the folder of --out.
+    /// What caches cost that live: viewers look around under wind for simulated minutes, and may walk together, texels are counted
+    /// against the rays of a screen-space renderer for each, and pictures are compared with its: living.json in the folder of --out.
     #[command(
-        after_help = "Example: skycell-server measure living --seconds 10 --size 96x54 --out living"
+        after_help = "Examples:\n  skycell-server measure living --seconds 10 --size 96x54 --out living\n  skycell-server \
+                      measure living --viewers 8 --spread-m 300 --walk-m-per-s 5 --beside-own-cells --texels-per-ray 2 \
+                      --seconds 10 --fps 10 --pictures --out group"
     )]
     Living(Box<LivingArguments>),
     /// How far the light that clouds scatter more than once is from the path tracer's, over shapes from thin to thick.

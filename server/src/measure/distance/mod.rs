@@ -111,7 +111,7 @@ impl DistanceArguments {
 }
 
 /// Those that are asked for, in the order of the report.
-fn asked<T: Copy + PartialEq>(all: &[T], asked: &[T]) -> Vec<T> {
+pub(super) fn asked<T: Copy + PartialEq>(all: &[T], asked: &[T]) -> Vec<T> {
     let is_asked = |one: &&T| asked.is_empty() || asked.contains(one);
     all.iter().filter(is_asked).copied().collect()
 }

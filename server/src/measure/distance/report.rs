@@ -241,7 +241,7 @@ fn reaches(points: &[DistancePoint]) -> Vec<Reach> {
 }
 
 /// Where a curve first comes up to a value, between its points by a line.
-fn first_reached(curve: &[(f64, f64)], value: f64) -> Option<f64> {
+pub(in crate::measure) fn first_reached(curve: &[(f64, f64)], value: f64) -> Option<f64> {
     let (first_m, first) = *curve.first()?;
     if first >= value {
         return Some(first_m);

@@ -47,7 +47,7 @@ pub struct LivingArguments {
     /// Who looks around.
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=128))]
     pub viewers: u32,
-    /// Radius of the circle in which they stand, m.
+    /// Radius of the circle in which they are, m.
     #[arg(long, default_value_t = 5.0)]
     pub spread_m: f64,
     /// Speed at which all of them go east together, m/s.

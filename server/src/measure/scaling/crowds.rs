@@ -98,13 +98,15 @@ pub struct CrowdSecond {
 pub struct CrowdTexels {
     /// Texels marched.
     pub marched: u64,
-    /// The same for each second of a viewer below the clouds.
+    /// The same for each second of a viewer who reads a cache.
     pub per_viewer_second: f64,
     /// Rays of a screen-space renderer for each viewer, once per pixel and frame at as many frames as there are ticks, for
     /// each texel that was marched.
     pub screen_space_rays_per_texel: f64,
-    /// Share of viewers' time below the clouds, where they read a cache.
+    /// Share of viewers' time in which they read a cache.
     pub readers_share: f64,
+    /// Share of viewers' time in a layer, the near part of which rays of their own go through besides.
+    pub within_share: f64,
     /// Share of requested texels that another viewer of the cell requests too.
     pub shared: f64,
     /// Share of looks at which the budget was spent with work left.
@@ -383,6 +385,7 @@ fn texels(setup: &CrowdSetup, sums: &TileSums) -> CrowdTexels {
         per_viewer_second: marched as f64 / reader_s.max(f64::MIN_POSITIVE),
         screen_space_rays_per_texel: rays / marched.max(1) as f64,
         readers_share: share(sums.readers, sums.readers + sums.others),
+        within_share: share(sums.within, sums.readers + sums.others),
         shared: 1.0 - share(sums.unique, sums.requested),
         short_share: share(sums.short_looks, sums.looks),
         new_anchors: sums.new_anchors,

@@ -68,11 +68,11 @@ fn texels(crowds: &[CrowdOutcome]) -> Markup {
     html! {
         h3 { "Texels and error" }
         p { "Rays: what a screen-space renderer marches for each viewer, once per pixel and tick, for each texel that is marched \
-             here. Above the base of the lowest clouds viewers have rays of their own and are left out." }
+             here. Viewers in a layer have rays of their own for its near part, which are not counted." }
         div.scroll { table {
             thead { tr {
                 th { "Crowd" } th.n { "Texels a viewer and second" } th.n { "Rays for each" } th.n { "Requests shared" }
-                th.n { "Time below clouds" } th.n { "Budget spent" } th.n { "New anchors" } th.n { "Most memory, MB" }
+                th.n { "Time with a cache" } th.n { "In a layer" } th.n { "Budget spent" } th.n { "New anchors" } th.n { "Most memory, MB" }
                 th.n { "FLIP by distance: median" } th.n { "p95" } th.n { "most" }
             } }
             tbody { @for crowd in crowds {
@@ -80,7 +80,7 @@ fn texels(crowds: &[CrowdOutcome]) -> Markup {
                 tr {
                     th { (name(crowd)) }
                     td.n { (short(texels.per_viewer_second)) } td.n { (short(texels.screen_space_rays_per_texel)) }
-                    td.n { (percent(texels.shared)) } td.n { (percent(texels.readers_share)) } td.n { (percent(texels.short_share)) }
+                    td.n { (percent(texels.shared)) } td.n { (percent(texels.readers_share)) } td.n { (percent(texels.within_share)) } td.n { (percent(texels.short_share)) }
                     td.n { (texels.new_anchors) } td.n { (short(texels.bytes_most as f64 / 1e6)) }
                     td.n { (short(crowd.error.median)) } td.n { (short(crowd.error.p95)) } td.n { (short(crowd.error.max)) }
                 }

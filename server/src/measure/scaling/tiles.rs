@@ -3,12 +3,14 @@
 //! It drives the bookkeeping that the service runs, [`Caches`], as the frame loop does.
 
 use crate::cache::{
-    BYTES_PER_TEXEL, Caches, ProxySphere, SphereId, TEXELS_PER_TILE, TileRequest, coarse_tiles,
-    requested_tiles,
+    BYTES_PER_TEXEL, Band, Caches, ProxySphere, SphereId, TEXELS_PER_TILE, TileRequest,
+    coarse_tiles, requested_tiles,
 };
 use crate::cells::Cells;
 use crate::composite::view_frustum;
-use crate::march::{ActiveLayer, CellFrame, Surface, active_layers};
+use crate::march::{
+    CellFrame, Proxy, ProxySettings, Side, active_layers, anchor_off_max_m, proxies_of,
+};
 use glam::DVec3;
 use rayon::prelude::*;
 use skycell_protocol::{Camera, CellId, FrameSize, Moment, Scene, ViewerId};
@@ -16,11 +18,6 @@ use std::collections::BTreeMap;
 
 /// As many tiles as slots can be told apart.
 const TILES_MAX: u32 = 65_535;
-/// An anchor farther from its cell's reference than this is given up, m, with all its texels, …
-const ANCHOR_MAX_M: f64 = 4_000.0;
-/// … and so is one that is above or below by this share of the height of the proxy sphere, as in the frame loop.
-const ANCHOR_RISE_MAX: f64 = 0.5;
-
 /// How viewers look and how texels are made.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TileSetup {
@@ -34,7 +31,7 @@ pub struct TileSetup {
     pub tiles_per_s: f64,
 }
 
-/// Where a cell's texels are addressed from: the same for all layers when it begins.
+/// Where a cell's texels are addressed from: the same for all proxies when it begins.
 struct Anchored {
     frame: CellFrame,
     at_start_m: DVec3,
@@ -50,9 +47,12 @@ pub struct TileSums {
     pub short_looks: u64,
     /// Looks at the caches.
     pub looks: u64,
-    /// Viewers below the clouds, who read a cache, summed over looks.
+    /// Viewers who read a cache, summed over looks.
     pub readers: u64,
-    /// Viewers in or above the clouds, who have rays of their own, summed over looks.
+    /// Those of them who are in a layer, the near part of which their own rays go through.
+    pub within: u64,
+    /// Viewers who are not where their cell's rays start, below, in or above a layer, and have rays of their own, summed over
+    /// looks.
     pub others: u64,
     /// Tiles requested, summed over viewers and looks.
     pub requested: u64,
@@ -82,8 +82,7 @@ impl TileSums {
 pub struct CrowdTiles<'a> {
     scene: &'a Scene,
     setup: TileSetup,
-    layers: Vec<ActiveLayer>,
-    lowest_base_m: f64,
+    proxies: Vec<Proxy>,
     caches: Caches,
     anchored: BTreeMap<CellId, Anchored>,
     sums: TileSums,
@@ -93,15 +92,10 @@ impl<'a> CrowdTiles<'a> {
     /// Without anybody.
     #[must_use]
     pub fn new(scene: &'a Scene, setup: TileSetup) -> Self {
-        let layers = active_layers(scene);
-        let bases = layers
-            .iter()
-            .map(|layer| scene.layers()[layer.scene_index].base_altitude_m());
         Self {
-            lowest_base_m: bases.fold(f64::INFINITY, f64::min),
+            proxies: proxies_of(scene, &active_layers(scene), &ProxySettings::default()),
             scene,
             setup,
-            layers,
             caches: Caches::new(TILES_MAX, setup.samples),
             anchored: BTreeMap::new(),
             sums: TileSums::default(),
@@ -156,13 +150,13 @@ impl<'a> CrowdTiles<'a> {
         marched as u64
     }
 
-    /// Where the wind has carried each active layer.
+    /// Where the wind has carried each proxy.
     fn drifts_m(&self, time_s: f64) -> Vec<DVec3> {
         let now = Moment::UNIX_EPOCH.plus_s(time_s);
         let carried = self.scene.carried_by(self.scene.layers(), now);
-        self.layers
+        self.proxies
             .iter()
-            .map(|layer| carried[layer.scene_index])
+            .map(|proxy| carried[proxy.scene_index])
             .collect()
     }
 
@@ -200,12 +194,15 @@ impl<'a> CrowdTiles<'a> {
     }
 
     fn is_far(&self, anchored: &Anchored, reference_m: DVec3, drifts: &[DVec3]) -> bool {
-        self.layers.iter().enumerate().any(|(index, layer)| {
-            let off_m = anchored.anchor_m(index, drifts) - reference_m;
-            let height_m = (layer.proxy_altitude_m - reference_m.y).abs().max(100.0);
-            off_m.with_y(0.0).length() > ANCHOR_MAX_M
-                || (reference_m.y < self.lowest_base_m
-                    && off_m.y.abs() > ANCHOR_RISE_MAX * height_m)
+        self.proxies.iter().enumerate().any(|(index, proxy)| {
+            let anchor_m = anchored.anchor_m(index, drifts);
+            let off_m = anchor_m - reference_m;
+            let [aside_max_m, rise_max_m] =
+                anchor_off_max_m(proxy.layer_m, proxy.altitude_m, reference_m.y, true);
+            let side = |place_m: DVec3| Side::of(proxy.layer_m, place_m.y);
+            off_m.with_y(0.0).length() > aside_max_m
+                || off_m.y.abs() > rise_max_m
+                || side(anchor_m) != side(reference_m)
         })
     }
 
@@ -214,32 +211,40 @@ impl<'a> CrowdTiles<'a> {
         let mut spheres: BTreeMap<CellId, Vec<ProxySphere>> = BTreeMap::new();
         for (id, anchored) in &self.anchored {
             if let Some(cell) = cells.get(*id) {
-                let of_layers = self.layers.iter().enumerate();
-                let of_layers = of_layers.map(|(index, layer)| {
-                    let between = &self.scene.layers()[layer.scene_index];
+                let places = self.proxies.iter().enumerate();
+                let of_proxies = places.map(|(index, proxy)| {
+                    let frame = anchored.frame;
+                    let anchor = frame.from_world(anchored.anchor_m(index, drifts));
+                    let band_m = proxy.band_m(&frame, anchor);
                     ProxySphere {
-                        frame: anchored.frame,
-                        anchor: anchored.frame.from_world(anchored.anchor_m(index, drifts)),
-                        surface: Surface::Shell {
-                            altitude_m: layer.proxy_altitude_m,
-                        },
-                        reference: anchored.frame.from_world(cell.reference_m),
-                        top_m: None,
-                        seen_between_m: Some([between.base_altitude_m(), between.top_altitude_m()]),
-                        band: None,
+                        frame,
+                        anchor,
+                        surface: proxy.surface(&frame, anchor),
+                        reference: frame.from_world(cell.reference_m),
+                        top_m: proxy
+                            .is_from_above(&frame, anchor)
+                            .then_some(proxy.between_m[1]),
+                        seen_between_m: Some(proxy.seen_between_m),
+                        band: band_m.map(|distances_m| Band {
+                            altitudes_m: proxy.altitudes_m(&frame, anchor),
+                            distances_m,
+                        }),
                     }
                 });
-                spheres.insert(*id, of_layers.collect());
+                spheres.insert(*id, of_proxies.collect());
             }
         }
         let TileSetup { size, mip_bias, .. } = self.setup;
-        let lowest_base_m = self.lowest_base_m;
         type Requests = (CellId, Vec<Vec<TileRequest>>);
         let requests: Vec<Requests> = cameras
             .par_iter()
-            .filter(|(_, camera)| camera.position_m()[1] < lowest_base_m)
             .filter_map(|(viewer, camera)| {
                 let cell = cells.cell_of(*viewer)?;
+                let eye_m = DVec3::from_array(camera.position_m());
+                let holds = cells.get(cell)?.reference_m;
+                if !cells.limit().share_storey(eye_m, holds) {
+                    return None;
+                }
                 let spheres = spheres.get(&cell)?;
                 let frustum = view_frustum(camera, size, &spheres.first()?.frame);
                 let tiles = spheres.iter();
@@ -248,6 +253,12 @@ impl<'a> CrowdTiles<'a> {
             })
             .collect();
         self.sums.readers += requests.len() as u64;
+        let is_within = |camera: &Camera| {
+            let mut layers_m = self.proxies.iter().map(|proxy| proxy.layer_m);
+            layers_m.any(|between_m| Side::of(between_m, camera.position_m()[1]) == Side::Within)
+        };
+        let within = cameras.iter().filter(|(_, camera)| is_within(camera));
+        self.sums.within += within.count() as u64;
         self.sums.others += (cameras.len() - requests.len()) as u64;
         let mut of_cells: BTreeMap<CellId, Vec<&Vec<Vec<TileRequest>>>> = BTreeMap::new();
         for (cell, tiles) in &requests {
@@ -283,9 +294,9 @@ impl<'a> CrowdTiles<'a> {
 }
 
 impl Anchored {
-    /// Anchor of a layer by now, which follows its wind: x, altitude, z.
-    fn anchor_m(&self, layer: usize, drifts: &[DVec3]) -> DVec3 {
-        self.at_start_m + (drifts[layer] - self.drifts_at_start_m[layer]).with_y(0.0)
+    /// Anchor of a proxy by now, which follows its layer's wind: x, altitude, z.
+    fn anchor_m(&self, proxy: usize, drifts: &[DVec3]) -> DVec3 {
+        self.at_start_m + (drifts[proxy] - self.drifts_at_start_m[proxy]).with_y(0.0)
     }
 }
 
@@ -328,6 +339,25 @@ mod tests {
         assert_eq!(5 * one.requested, same.requested);
         assert_eq!(3 * one.marched, apart.marched);
         assert!(one.marched > 0);
+    }
+
+    #[test]
+    fn who_is_above_or_in_the_clouds_reads_a_cache_as_who_is_below_does() {
+        for (altitude_m, within) in [(2.0, 0), (2_000.0, 3), (12_000.0, 0)] {
+            let document = serde_json::json!({"version": 1, "wind": {"speed_m_per_s": 0}});
+            let scene = Scene::from_json(&document).expect("a scene");
+            let mut tiles = CrowdTiles::new(&scene, setup());
+            let mut cells = Cells::new(&[], CellLimit::default());
+            let id = ViewerId(1);
+            cells.place(id, DVec3::new(0.0, altitude_m, 0.0));
+            let camera = Camera::new([0.0, altitude_m, 0.0], 30.0, -10.0, 60.0).expect("a camera");
+            for _ in 0..3 {
+                tiles.look(&cells, &[(id, camera)], 0.5, 0.0);
+            }
+            let sums = tiles.sums();
+            assert_eq!([sums.readers, sums.within, sums.others], [3, within, 0]);
+            assert!(sums.marched > 0, "at {altitude_m} m");
+        }
     }
 
     #[test]
