@@ -6,6 +6,7 @@ mod budget;
 mod pool;
 mod requests;
 mod samples;
+mod sky_way;
 mod sphere;
 
 pub use address::{
@@ -21,6 +22,7 @@ pub use requests::{
     seen_blocks,
 };
 pub use samples::TexelSamples;
+pub use sky_way::SkyWay;
 pub use sphere::{AgeingRates, LAG_RAD, NO_TILE, PageTables, SphereCache, Want};
 
 use glam::{DVec2, DVec3};
@@ -169,12 +171,12 @@ impl Caches {
         self.spheres.values().all(SphereCache::is_refreshed)
     }
 
-    /// The sky has moved, what each proxy keeps by some steps, each of which is just not seen. Texels are mixed towards the present
-    /// when it is their turn; nothing is thrown away.
-    pub fn age_by(&mut self, steps_of_proxies: &[f64]) {
+    /// The sky has moved, what each proxy keeps by a way of its own. Texels are mixed towards the present when it is their turn;
+    /// nothing is thrown away.
+    pub fn age_by(&mut self, ways_of_proxies: &[SkyWay]) {
         for (id, sphere) in &mut self.spheres {
-            if let Some(steps) = steps_of_proxies.get(id.proxy as usize) {
-                sphere.age_by(*steps);
+            if let Some(way) = ways_of_proxies.get(id.proxy as usize) {
+                sphere.age_by(*way);
             }
         }
     }

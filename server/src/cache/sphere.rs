@@ -10,6 +10,7 @@ use super::address::{LEVELS, TileKey};
 use super::pool::Slot;
 use super::requests::TileRequest;
 use super::samples::TexelSamples;
+use super::sky_way::SkyWay;
 use glam::DVec3;
 use skycell_protocol::show::{AGE_HIGH_S, AGE_LOW_S};
 use std::collections::HashMap;
@@ -79,10 +80,10 @@ pub(super) struct Tile {
     /// How often the clouds had changed a little.
     refreshes: u32,
     pub(super) last_seen_frame: u64,
-    /// The sky's way at the last sample, steps.
-    moved: f64,
-    /// How far behind the sky of then the mixture was, steps.
-    left: f64,
+    /// The sky's way at the last sample.
+    moved: SkyWay,
+    /// How far behind the sky of then the mixture was.
+    left: SkyWay,
     /// How far the mixture was behind its last sample's reference and noise, m.
     left_m: f64,
     /// Filled from other tiles, and not marched since.
@@ -92,8 +93,8 @@ pub(super) struct Tile {
 }
 
 impl Tile {
-    /// How far behind a sky the tile is that has come a way of `moved` steps.
-    fn behind(&self, moved: f64) -> f64 {
+    /// How far behind a sky the tile is that has come so far.
+    fn behind(&self, moved: SkyWay) -> SkyWay {
         self.left + (moved - self.moved)
     }
 }
@@ -216,8 +217,8 @@ pub struct SphereCache {
     reference: Option<DVec3>,
     /// How often the clouds have changed a little.
     refreshes: u32,
-    /// The sky's way so far, in steps that are just not seen.
-    moved: f64,
+    /// The sky's way so far.
+    moved: SkyWay,
     /// Samples that texels average, if not as many as those of all spheres.
     samples: Option<TexelSamples>,
     /// While it ages all the time, a tile is marched again when it is so many times as far behind as it otherwise may be.
@@ -261,9 +262,9 @@ impl SphereCache {
         })
     }
 
-    /// The sky has moved by some steps.
-    pub fn age_by(&mut self, steps: f64) {
-        self.moved += steps;
+    /// The sky has moved.
+    pub fn age_by(&mut self, way: SkyWay) {
+        self.moved += way;
     }
 
     /// Another number of samples that its texels average. More are added to those that are there.
@@ -386,7 +387,7 @@ impl SphereCache {
                 let Some(tile) = self.tiles.get(key) else {
                     return missing;
                 };
-                let behind = tile.behind(self.moved) > behind_max(true, want);
+                let behind = tile.behind(self.moved).steps > behind_max(true, want);
                 if missing == 0 && (tile.resampled || self.is_aged_at_rest(tile, want)) {
                     return u64::from(samples.of(want));
                 }
@@ -494,7 +495,7 @@ impl SphereCache {
                 sampled: None,
                 last_seen_frame: frame,
                 moved: self.moved,
-                left: 0.0,
+                left: SkyWay::default(),
                 left_m: 0.0,
                 resampled: false,
             },
@@ -525,7 +526,7 @@ impl SphereCache {
         } else {
             AGE_RESTART
         };
-        if stale || age > restart || behind > BEHIND_RESTART {
+        if stale || age > restart || behind.steps > BEHIND_RESTART {
             tile.samples = 0;
             tile.old_samples = 0.0;
         } else if !self.drifts && age > AGE_REST && tile.samples >= owed {
@@ -542,7 +543,7 @@ impl SphereCache {
             REFRESH_WEIGHT
         };
         // A tile far behind comes as near as it may stay; one that is close takes little noise from one sample.
-        let weight = weight.max(weight_that_leaves(BEHIND_KEPT, behind));
+        let weight = weight.max(weight_that_leaves(BEHIND_KEPT, behind.steps));
         let weight = if self.drifts {
             weight.max(weight_that_leaves(
                 AGE_KEPT,

@@ -469,6 +469,44 @@ fn noise_that_rises_ages_tiles_as_a_reference_that_moves_as_far() {
     assert!(caches.has_work(risen));
 }
 
+fn way(steps: f64) -> SkyWay {
+    SkyWay {
+        steps,
+        percent: 0.4 * steps,
+    }
+}
+
+#[test]
+fn of_two_skies_that_have_moved_as_far_the_one_that_shows_more_comes_first() {
+    let mut caches = Caches::new(4, 1);
+    let [sun, cover] = [0, 1].map(|proxy| SphereId { proxy, ..SPHERE });
+    for sphere in [sun, cover] {
+        caches
+            .sphere_mut(sphere)
+            .set_wanted(&[], &[request(tile(1, 0, 0))]);
+    }
+    updates_until_converged(&mut caches);
+    caches.set_calm(false);
+    let [of_sun, of_cover] = [0.1, 2.0].map(|rate| SkyWay {
+        steps: 4.0,
+        percent: 4.0 * rate,
+    });
+    for (ways, first) in [([of_sun, of_cover], cover), ([of_cover, of_sun], sun)] {
+        caches.age_by(&ways);
+        let expected = |sphere| {
+            let cache = caches.sphere(sphere).expect("there");
+            cache
+                .expected(&tile(1, 0, 0), DVec3::ZERO)
+                .expect("a tile")
+                .0
+        };
+        println!("{} {}", expected(sun), expected(cover));
+        assert_eq!(caches.plan(1, at_origin)[0].sphere, first);
+        assert_eq!(caches.plan(1, at_origin).len(), 1);
+        assert!(caches.plan(1, at_origin).is_empty());
+    }
+}
+
 #[test]
 fn a_sky_that_moves_mixes_its_tiles_towards_the_present_and_then_rests() {
     let mut caches = Caches::new(4, 8);
@@ -476,9 +514,9 @@ fn a_sky_that_moves_mixes_its_tiles_towards_the_present_and_then_rests() {
     caches.sphere_mut(SPHERE).set_wanted(&[], &tiles);
     updates_until_converged(&mut caches);
     caches.set_calm(false);
-    caches.age_by(&[0.9]);
+    caches.age_by(&[way(0.9)]);
     assert!(caches.plan(2, at_origin).is_empty(), "nobody sees it yet");
-    caches.age_by(&[0.9]);
+    caches.age_by(&[way(0.9)]);
     let updates = caches.plan(2, at_origin);
     assert_eq!(updates.len(), 2);
     for update in &updates {
@@ -503,7 +541,7 @@ fn a_sky_far_from_the_one_that_was_marched_starts_anew() {
         .sphere_mut(SPHERE)
         .set_wanted(&[], &[request(tile(1, 0, 0))]);
     updates_until_converged(&mut caches);
-    caches.age_by(&[1000.0]);
+    caches.age_by(&[way(1000.0)]);
     let update = caches.plan(1, at_origin)[0];
     assert_eq!((update.weight, update.sample_index), (1.0, 0));
     assert_eq!(updates_until_converged(&mut caches), 7);

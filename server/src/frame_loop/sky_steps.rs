@@ -1,5 +1,6 @@
-//! How far one moment's scene is from another's, in steps that are just not seen.
+//! How far one moment's scene is from another's, in steps that are just not seen, and how wrong texels are that show the other.
 
+use crate::cache::{AgeingRates, SkyWay};
 use glam::DVec3;
 use serde_json::Value;
 use skycell_protocol::Scene;
@@ -15,6 +16,8 @@ const COVER_STEPS: f64 = 256.0;
 const RELATIVE_STEPS: f64 = 64.0;
 /// Numbers below are as good as nothing: extinction per metre, optical depth, irradiance.
 const NOTHING: f64 = 1e-3;
+/// How wrong what is a step behind is.
+const RATES: AgeingRates = AgeingRates::RECKONED;
 /// As many steps as make texels start anew.
 const JUMP: f64 = 1e6;
 
@@ -22,10 +25,10 @@ const JUMP: f64 = 1e6;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Steps {
     /// What the texels of all layers hold.
-    pub(super) light: f64,
+    pub(super) light: SkyWay,
     /// What those of one hold, by its name; layers that are in both scenes.
-    pub(super) layers: BTreeMap<String, f64>,
-    /// What is put on where texels are shown: colour of the light, air, exposure.
+    pub(super) layers: BTreeMap<String, SkyWay>,
+    /// What is put on where texels are shown: colour of the light, air, exposure; in steps.
     pub(super) look: f64,
     /// The list of layers is another one.
     pub(super) layers_change: bool,
@@ -34,15 +37,20 @@ pub(super) struct Steps {
 }
 
 impl Steps {
-    /// Steps of what the texels of a layer hold; new ones hold nothing yet.
-    pub(super) fn of_layer(&self, name: &str) -> f64 {
+    /// The way of what the texels of a layer hold; new ones hold nothing yet.
+    pub(super) fn of_layer(&self, name: &str) -> SkyWay {
         let maps = if self.maps.contains(name) { JUMP } else { 0.0 };
+        let maps = SkyWay {
+            steps: maps,
+            percent: maps,
+        };
         self.light + self.layers.get(name).copied().unwrap_or_default() + maps
     }
 
     /// Steps of what the texels hold that move farthest, but for maps, which may come slowly.
     pub(super) fn march(&self) -> f64 {
-        self.light + self.layers.values().copied().fold(0.0, f64::max)
+        let layers = self.layers.values().map(|way| way.steps);
+        self.light.steps + layers.fold(0.0, f64::max)
     }
 
     pub(super) fn largest(&self) -> f64 {
@@ -65,7 +73,7 @@ pub(super) fn steps_between(old: &Scene, new: &Scene) -> Steps {
     steps.layers_change = names(old) != names(new);
     for b in &after.layers {
         if let Some(a) = before.layers.iter().find(|a| a.name == b.name) {
-            let mut of_layer = 0.0;
+            let mut of_layer = SkyWay::default();
             add("", &value(a), &value(b), &mut of_layer);
             steps.layers.insert(b.name.clone(), of_layer);
             if maps_of(a) != maps_of(b) {
@@ -79,22 +87,22 @@ pub(super) fn steps_between(old: &Scene, new: &Scene) -> Steps {
         &value(&after.light),
         &mut steps.light,
     );
-    steps.light += angle_rad(old.sun().direction(), new.sun().direction()) / SUN_STEP_RAD;
+    let sun = angle_rad(old.sun().direction(), new.sun().direction()) / SUN_STEP_RAD;
+    steps.light += SkyWay {
+        steps: sun,
+        percent: sun * RATES.percent_per_step_of_sun,
+    };
     let colour = |scene: &Scene| Value::from(scene.sun().irradiance_w_per_m2_nm().to_vec());
-    add("", &colour(old), &colour(new), &mut steps.look);
+    let mut look = SkyWay::default();
+    add("", &colour(old), &colour(new), &mut look);
     add(
         "",
         &value(&before.atmosphere),
         &value(&after.atmosphere),
-        &mut steps.look,
+        &mut look,
     );
-    add(
-        "",
-        &value(&before.planet),
-        &value(&after.planet),
-        &mut steps.look,
-    );
-    steps.look += (old.exposure_ev() - new.exposure_ev()).abs() * RELATIVE_STEPS;
+    add("", &value(&before.planet), &value(&after.planet), &mut look);
+    steps.look = look.steps + (old.exposure_ev() - new.exposure_ev()).abs() * RELATIVE_STEPS;
     steps
 }
 
@@ -112,28 +120,37 @@ fn angle_rad(a: DVec3, b: DVec3) -> f64 {
     2.0 * (0.5 * a.distance(b)).clamp(0.0, 1.0).asin()
 }
 
-fn add(key: &str, a: &Value, b: &Value, steps: &mut f64) {
+fn add(key: &str, a: &Value, b: &Value, way: &mut SkyWay) {
     match (a, b) {
         // Where clouds are is no part of what they look like, and maps are told apart.
         _ if ["wind", "evolution_m_per_s", "maps", "seed"].contains(&key) => {}
         (Value::Object(a), Value::Object(b)) if a.len() == b.len() => {
             for (key, a) in a {
-                add(key, a, b.get(key).unwrap_or(&Value::Null), steps);
+                add(key, a, b.get(key).unwrap_or(&Value::Null), way);
             }
         }
         (Value::Array(a), Value::Array(b)) if a.len() == b.len() => {
             for (a, b) in a.iter().zip(b) {
-                add(key, a, b, steps);
+                add(key, a, b, way);
             }
         }
         _ if a == b => {}
         _ => {
-            *steps += match (a.as_f64(), b.as_f64()) {
+            let steps = match (a.as_f64(), b.as_f64()) {
                 (Some(a), Some(b)) => match key {
                     "coverage" | "type" => (a - b).abs() * COVER_STEPS,
                     _ => (a - b).abs() / a.abs().max(b.abs()).max(NOTHING) * RELATIVE_STEPS,
                 },
                 _ => JUMP,
+            };
+            let rate = match key {
+                "coverage" => RATES.percent_per_step_of_coverage,
+                "type" => RATES.percent_per_step_of_type,
+                _ => RATES.percent_per_step,
+            };
+            *way += SkyWay {
+                steps,
+                percent: steps * rate,
             };
         }
     }
@@ -160,11 +177,16 @@ mod tests {
         let base = Scene::default();
         assert_eq!(steps_between(&base, &base).largest(), 0.0);
         let sun = steps_between(&base, &scene(json!({"sun": {"elevation_deg": 40.5}})));
-        assert!((sun.light - 2.0).abs() < 1e-6, "{sun:?}");
+        assert!((sun.light.steps - 2.0).abs() < 1e-6, "{sun:?}");
+        assert!((sun.light.percent - 0.2).abs() < 1e-6, "{sun:?}");
         let exposure = steps_between(&base, &scene(json!({"exposure_ev": 0.5})));
         assert_eq!((exposure.march(), exposure.look), (0.0, 32.0));
         let cover = scene(json!({"layers": [{"density": {"coverage": 0.45 + 1.0 / 256.0}}]}));
-        assert!((steps_between(&base, &cover).of_layer("low") - 1.0).abs() < 1e-6);
+        let way = steps_between(&base, &cover).of_layer("low");
+        assert!(
+            (way.steps - 1.0).abs() < 1e-6 && (way.percent - 2.0).abs() < 1e-6,
+            "{way:?}"
+        );
         let wind = steps_between(&base, &scene(json!({"wind": {"speed_m_per_s": 50}})));
         assert_eq!(wind.largest(), 0.0);
     }
@@ -176,8 +198,8 @@ mod tests {
         };
         let steps = steps_between(&two(1), &two(2));
         assert!(!steps.layers_change);
-        assert_eq!(steps.of_layer("low"), 0.0);
-        assert!(steps.of_layer("high") >= 64.0);
+        assert_eq!(steps.of_layer("low"), SkyWay::default());
+        assert!(steps.of_layer("high").steps >= 64.0);
     }
 
     #[test]

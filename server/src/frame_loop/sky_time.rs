@@ -5,7 +5,7 @@
 use super::interface::SkyTimeStats;
 use super::renderer::SkyRenderer;
 use super::sky_steps::{Steps, steps_between};
-use crate::cache::SphereId;
+use crate::cache::{SkyWay, SphereId};
 use crate::gpu::GpuError;
 use crate::march::{ActiveLayer, LayerBlend, active_layers, keep_places};
 use crate::march::{look_where_clouds_are, placed_sheets, placed_weather};
@@ -326,7 +326,7 @@ impl SkyRenderer {
 
     /// The texels of each layer are behind by its steps.
     pub(super) fn age_by(&mut self, steps: &Steps) {
-        let of_proxies: Vec<f64> = self
+        let of_proxies: Vec<SkyWay> = self
             .proxies
             .iter()
             .map(|proxy| steps.of_layer(self.scene.layers()[proxy.scene_index].name()))

@@ -1,6 +1,7 @@
 //! Tiles of a sphere with another anchor, filled from those of the one before.
 
 use super::{SphereCache, Tile};
+use crate::cache::SkyWay;
 use crate::cache::address::TileKey;
 use crate::cache::pool::Slot;
 use glam::{DVec2, DVec3};
@@ -111,7 +112,10 @@ impl SphereCache {
                     .wrapping_sub(behind_by(all(&|tile| tile.refreshes == old.refreshes))),
                 last_seen_frame: frame,
                 moved: self.moved,
-                left: most(&|tile| tile.behind(old.moved)),
+                left: SkyWay {
+                    steps: most(&|tile| tile.behind(old.moved).steps),
+                    percent: most(&|tile| tile.behind(old.moved).percent),
+                },
                 left_m: most(&|tile| old.age_m(tile, reference)),
                 resampled: true,
                 rate: most(&|tile| tile.rate),
