@@ -140,6 +140,8 @@ pub struct CrowdOutcome {
     pub distance_share: Spread,
     /// Error that the distance brings, FLIP, over viewers and seconds.
     pub error: Spread,
+    /// Time of the processor to take in the whole crowd at once, before the first tick, µs.
+    pub joined_us: f64,
     /// Time of the processor to decide on cells, µs a tick: what else runs does not count, but it differs from run to run.
     pub decision_us: Spread,
     /// Share of the decisions that took more than [`DECISION_MAX_US`].
@@ -154,6 +156,7 @@ impl CrowdOutcome {
     /// Without what the clock told, which differs from run to run.
     #[must_use]
     pub fn without_clock(mut self) -> Self {
+        self.joined_us = 0.0;
         self.decision_us = Spread::default();
         self.slow_decisions_share = 0.0;
         self
@@ -188,6 +191,7 @@ struct Watch<'a> {
     cells: Cells,
     flips: FlipCount,
     cell_counts: Vec<f64>,
+    joined_us: f64,
     decisions_us: Vec<f64>,
     shares: Vec<f64>,
     errors: Vec<f64>,
@@ -230,6 +234,7 @@ pub fn watch(
             ahead_deg: 0.0,
         })
         .collect();
+    watch.join(crowd.positions_m());
     let tick_s = 1.0 / f64::from(setup.ticks_per_s);
     let ticks = (setup.duration_s * f64::from(setup.ticks_per_s)).round() as u32;
     for tick in 0..ticks {
@@ -276,6 +281,7 @@ impl<'a> Watch<'a> {
             cells,
             flips: FlipCount::default(),
             cell_counts: Vec::new(),
+            joined_us: 0.0,
             decisions_us: Vec::new(),
             shares: Vec::new(),
             errors: Vec::new(),
@@ -283,6 +289,16 @@ impl<'a> Watch<'a> {
             changes: 0,
             widest_share: 0.0,
         }
+    }
+
+    /// Everybody comes.
+    fn join(&mut self, positions_m: impl Iterator<Item = DVec3>) {
+        let positions_m: Vec<DVec3> = positions_m.collect();
+        let begun = ThreadTime::now();
+        for (place, position_m) in positions_m.iter().enumerate() {
+            self.cells.place(viewer(place), *position_m);
+        }
+        self.joined_us = begun.elapsed().as_secs_f64() * 1e6;
     }
 
     fn decide(&mut self, positions_m: &[DVec3], tick_s: f64, time_s: f64) {
@@ -359,6 +375,7 @@ impl<'a> Watch<'a> {
             widest_share: self.widest_share,
             distance_share: Spread::of(self.shares),
             error: Spread::of(self.errors),
+            joined_us: self.joined_us,
             slow_decisions_share: slow as f64 / self.decisions_us.len().max(1) as f64,
             decision_us: Spread::of(self.decisions_us),
             texels: texels(setup, &sums),

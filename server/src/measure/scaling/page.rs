@@ -44,6 +44,7 @@ fn cells(crowds: &[CrowdOutcome]) -> Markup {
                 th.n { "Changes a viewer and minute" } th.n { "Back within " (FLIP_S) " s" }
                 th.n { "Widest, of the limit" } th.n { "Distance, of the limit: median" } th.n { "p95" }
                 th.n { "Decision, µs of the processor: median" } th.n { "p95" } th.n { "most" } th.n { "above 1 ms" }
+                th.n { "All come at once, µs" }
             } }
             tbody { @for crowd in crowds {
                 @let Spread { min, median, max, .. } = crowd.cells;
@@ -57,6 +58,7 @@ fn cells(crowds: &[CrowdOutcome]) -> Markup {
                     td.n { (short(crowd.decision_us.median)) } td.n { (short(crowd.decision_us.p95)) }
                     td.n { (short(crowd.decision_us.max)) }
                     td.n { (format!("{:.2} %", crowd.slow_decisions_share * 100.0)) }
+                    td.n { (short(crowd.joined_us)) }
                 }
             } }
         } }
