@@ -74,7 +74,7 @@ pub(super) struct ActiveCell {
     /// Where rays started before the reference last moved.
     pub(super) came_from_m: DVec3,
     /// The reference has stood still while it should have moved, and follows.
-    is_late: bool,
+    pub(super) is_late: bool,
     /// How far what its texels show may be seen from elsewhere than the reference because of the wind, rad.
     wind_lag_rad: f64,
     /// That of its viewers' pictures, as the shaders have it.
@@ -294,6 +294,9 @@ impl SkyRenderer {
                 if let Some(cell) = self.active_cells.get_mut(&id) {
                     cell.is_late = true;
                 }
+                continue;
+            }
+            if self.let_go(id, reference_m) {
                 continue;
             }
             let stays = self.dome_stays(id, reference_m);

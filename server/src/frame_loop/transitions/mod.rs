@@ -12,6 +12,7 @@ mod tests;
 
 pub(super) use way::{Readiness, Stage, Way};
 
+use super::cells_on_device::ActiveCell;
 use super::interface::TransitionStats;
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
@@ -29,7 +30,9 @@ pub(super) const PICTURES_BYTES_MAX: u64 = 128 << 20;
 /// The reference of a cell that somebody leaves stands still for that while it would not have to move farther, m.
 const HELD_MAX_M: f64 = 3_000.0;
 /// Pictures about old and new anchors differ as little as those of references that are so far apart, rad.
-const NEW_ANCHORS_RAD: f64 = 0.13;
+pub(super) const NEW_ANCHORS_RAD: f64 = 0.13;
+/// A reference that has stood still follows by and by where it has no more than this to go, rad.
+const LATE_MAX_RAD: f64 = 0.05;
 /// Clouds count as no nearer than this, m.
 const HEIGHT_MIN_M: f64 = 100.0;
 
@@ -232,8 +235,14 @@ impl SkyRenderer {
     }
 
     /// Lets those who look at a cell go on seeing it under another number, which is returned, while the cell itself becomes
-    /// another, and then go on to that. None where nobody does. If they have jumped with it, they see it from where they stood.
-    pub(super) fn keep_for_viewers(&mut self, id: CellId, has_jumped: bool) -> Option<CellId> {
+    /// another, and then go on to that, whose reference is so far away. None where nobody does. If they have jumped with it, they see
+    /// it from where they stood.
+    pub(super) fn keep_for_viewers(
+        &mut self,
+        id: CellId,
+        apart_rad: f64,
+        has_jumped: bool,
+    ) -> Option<CellId> {
         let mut room = VIEWERS_MAX.saturating_sub(self.viewers_in_transition());
         // Far from those of cells, which are counted up.
         let stand_in = CellId(u32::MAX - self.counters.transitions.stand_ins);
@@ -253,9 +262,9 @@ impl SkyRenderer {
                         from: stand_in,
                         requests: std::mem::take(&mut viewer.requests),
                         way: if has_jumped {
-                            Way::of_a_jump(NEW_ANCHORS_RAD)
+                            Way::of_a_jump(apart_rad)
                         } else {
-                            Way::new(NEW_ANCHORS_RAD)
+                            Way::new(apart_rad)
                         },
                         fade: None,
                         camera: viewer.shown_camera,
@@ -379,9 +388,14 @@ impl SkyRenderer {
             on_device.or_else(|| self.cells.get(id).map(|cell| cell.reference_m))
         };
         match (reference_m(a), reference_m(b)) {
-            (Some(a), Some(b)) => a.distance(b) / self.cloud_height_m(a.y),
+            (Some(a), Some(b)) => self.apart_rad_of(a, b),
             _ => 0.0,
         }
+    }
+
+    /// Angle between two places, seen from the nearest clouds.
+    pub(super) fn apart_rad_of(&self, a_m: DVec3, b_m: DVec3) -> f64 {
+        a_m.distance(b_m) / self.cloud_height_m(a_m.y)
     }
 
     /// Whether a reference that goes from one place to another jumps: from there nothing is seen as it was from here. Who flies
@@ -416,6 +430,41 @@ impl SkyRenderer {
             .get(&id)
             .is_some_and(|cell| limit.distance_m(cell.reference_m, reference_m) <= HELD_MAX_M)
             && self.viewers.values().any(is_left)
+    }
+
+    /// Lets a reference go to where it should be that has stood still for those who left its cell. Those who stay come to the new
+    /// place as to another cell: dragged there, a picture would change within seconds. False where it does not have far to go, or where
+    /// there is no room for all of them; then it follows by and by.
+    pub(super) fn let_go(&mut self, id: CellId, reference_m: DVec3) -> bool {
+        let mut stay = self.viewers.values().filter(|viewer| viewer.cell == id);
+        let room = VIEWERS_MAX.saturating_sub(self.viewers_in_transition());
+        // Who is just coming here would see the place that it comes to become another.
+        let all_may_go = stay.clone().count() <= room && stay.all(|v| v.transition.is_none());
+        let limit = self.cells.limit();
+        let Some(cell) = self.active_cells.get_mut(&id) else {
+            return false;
+        };
+        let stood_m = cell.reference_m;
+        if !all_may_go || !cell.is_late || !limit.share_storey(stood_m, reference_m) {
+            return false;
+        }
+        let apart_rad = self.apart_rad_of(stood_m, reference_m);
+        if apart_rad <= LATE_MAX_RAD {
+            return false;
+        }
+        let moved = |cell: &mut ActiveCell, is_late, came_from_m, reference_m| {
+            cell.is_late = is_late;
+            cell.came_from_m = came_from_m;
+            cell.reference_m = reference_m;
+        };
+        if let Some(cell) = self.active_cells.get_mut(&id) {
+            moved(cell, false, stood_m, reference_m);
+        }
+        let is_left = self.leave_behind(id, apart_rad, false);
+        if !is_left && let Some(cell) = self.active_cells.get_mut(&id) {
+            moved(cell, true, stood_m, stood_m);
+        }
+        is_left
     }
 
     /// Shows every viewer the cell that it belongs to: nothing is left of what was shown.

@@ -131,6 +131,76 @@ fn no_frame_of_a_standing_viewer_between_two_cells_differs_from_the_last_by_twic
     assert!(most < 2.0 * wind_most, "{most} of {wind_most}");
 }
 
+/// FLIP between successive frames of one who stays in a cell that falls apart: while wind alone changes them, and from then on until its
+/// reference is where it should be. So many stand at either end.
+fn staying(each: u32) -> [Vec<f64>; 2] {
+    let mut driven = Driven::new(48, &json!({"version": 1}), &[]);
+    let seen = ViewerId(1);
+    driven
+        .renderer
+        .join(seen, view([160, 90], camera(0.0, 40.0)));
+    for id in 2..=each {
+        let here = view([16, 12], camera(0.0, 40.0));
+        driven.renderer.join(ViewerId(id), here);
+    }
+    for id in each + 1..=2 * each {
+        let there = view([16, 12], camera(2_400.0, 40.0));
+        driven.renderer.join(ViewerId(id), there);
+    }
+    for _ in 0..600 {
+        driven.renderer.regroup(0.1);
+    }
+    let cell = driven.cell_of(seen);
+    assert_eq!(driven.cell_of(ViewerId(2 * each)), cell);
+    driven.settle();
+    let reference_m = |driven: &Driven| driven.renderer.active_cells[&cell].reference_m;
+    let stood_m = reference_m(&driven);
+    let wind: Vec<RgbImage> = (0..WIND_FRAMES)
+        .map(|_| driven.frame(seen, 1.0 / FPS))
+        .collect();
+    driven
+        .renderer
+        .cells
+        .set_limit(CellLimit::new(500.0, 500.0));
+    let mut frames = vec![wind[WIND_FRAMES - 1].clone()];
+    let is_there = |driven: &Driven| {
+        let goal_m = driven.renderer.cells.get(cell).expect("there").reference_m;
+        let viewers = driven.renderer.viewers.values();
+        reference_m(driven).distance(goal_m) < 1.0
+            && viewers
+                .into_iter()
+                .all(|viewer| viewer.transition.is_none())
+    };
+    while frames.len() < 20 || !is_there(&driven) {
+        frames.push(driven.frame(seen, 1.0 / FPS));
+        assert!(frames.len() < 2_000, "never there");
+    }
+    assert_eq!(driven.cell_of(seen), cell);
+    let moved_m = reference_m(&driven).distance(stood_m);
+    println!("{each} at either end: the reference goes {moved_m:.0} m");
+    assert!(moved_m > 1_000.0);
+    [steps(&wind), steps(&frames)]
+}
+
+#[test]
+fn no_frame_of_one_who_stays_in_a_cell_that_falls_apart_differs_from_the_last_by_twice_what_wind_does()
+ {
+    let found = [1, VIEWERS_MAX as u32 + 1].map(|each| {
+        let [wind, way] = staying(each);
+        let [calm, all] = [&wind, &way].map(|steps| (middle(steps), mean_and_most(steps)[1]));
+        println!(
+            "{each}: wind {calm:.5?}, way {all:.5?}, {} frames",
+            way.len()
+        );
+        (calm, all)
+    });
+    let ((wind, wind_most), (half, most)) = found[0];
+    assert!(half < 2.0 * wind, "{half} of {wind}");
+    assert!(most < 2.0 * wind_most, "{most} of {wind_most}");
+    // More than there is room for are dragged along, which is seen.
+    assert!(found[1].1.1 > most, "{found:?}");
+}
+
 /// A frame on the way from one cell to another.
 struct OnTheWay {
     share: f64,
