@@ -58,7 +58,8 @@ pub struct DistanceArguments {
     /// Only these directions; all without.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "DIRECTION,...")]
     pub directions: Vec<Direction>,
-    /// Only these distances, m, from small to large; those of the direction without.
+    /// Only these distances, m, from small to large; those of the direction without. Upwards those are left out that are in or above a
+    /// layer.
     #[arg(long, value_delimiter = ',', value_name = "M,...", value_parser = parsed_metres)]
     pub distances_m: Vec<f64>,
     /// Only these views; both without.
@@ -93,12 +94,12 @@ impl DistanceArguments {
         }
     }
 
-    fn distances_m(&self, direction: Direction) -> &[f64] {
-        if self.distances_m.is_empty() {
-            direction.distances_m(self.quick)
-        } else {
-            &self.distances_m
-        }
+    fn distances_m(&self, direction: Direction, scene: &Scene) -> Vec<f64> {
+        let asked_m = match &self.distances_m[..] {
+            [] => direction.distances_m(self.quick),
+            asked_m => asked_m,
+        };
+        direction.shared_m(scene, EYE_M, asked_m)
     }
 
     fn picture_size(&self) -> anyhow::Result<FrameSize> {
@@ -195,7 +196,7 @@ fn measured(arguments: &DistanceArguments) -> anyhow::Result<DistanceReport> {
     };
     let points = directions
         .iter()
-        .map(|direction| arguments.distances_m(*direction).len())
+        .map(|direction| arguments.distances_m(*direction, &scene).len())
         .sum::<usize>()
         * views.len()
         * variants.len();
@@ -235,12 +236,12 @@ fn measured(arguments: &DistanceArguments) -> anyhow::Result<DistanceReport> {
         // Rendered when the first point needs it.
         let mut truth: Option<RgbImage> = None;
         for direction in &directions {
-            for distance_m in arguments.distances_m(*direction) {
+            for distance_m in arguments.distances_m(*direction, &scene) {
                 let place = Place {
                     view,
                     camera,
                     direction: *direction,
-                    distance_m: *distance_m,
+                    distance_m,
                 };
                 // Variants of as many slabs read the same texels.
                 for slabs in 1..=4 {

@@ -1,12 +1,13 @@
 //! What is measured: from where, which way, how far, and how the cache is read.
 
+use crate::cells::{CellLimit, Storeys};
 use crate::config::FrameFilter;
 use crate::frame_loop::StillSettings;
-use crate::march::MarchSettings;
+use crate::march::{MarchSettings, active_layers, layer_bounds_m};
 use crate::quality::default_parallax_steps;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use skycell_protocol::{Camera, RendererKind};
+use skycell_protocol::{Camera, RendererKind, Scene};
 
 /// Which way the reference point lies from the eye.
 #[derive(
@@ -40,11 +41,27 @@ impl Direction {
     #[must_use]
     pub fn distances_m(self, is_quick: bool) -> &'static [f64] {
         match (self, is_quick) {
-            (Self::Up, false) => &[0.0, 100.0, 300.0, 600.0, 800.0, 1_100.0, 1_500.0],
+            // From 1.5 km on a reference is in the clouds of the default scene.
+            (Self::Up, false) => &[0.0, 100.0, 300.0, 600.0, 800.0, 1_100.0, 1_450.0],
             (_, false) => &[0.0, 100.0, 300.0, 1_000.0, 3_000.0, 4_500.0, 5_000.0],
             (Self::Up, true) => &[0.0, 300.0, 1_100.0],
             (_, true) => &[0.0, 1_000.0, 3_000.0],
         }
+    }
+
+    /// Those of some distances, m, at which the reference is on the eye's side of each layer of a scene: nobody else shares its cell.
+    #[must_use]
+    pub fn shared_m(self, scene: &Scene, eye_m: f64, distances_m: &[f64]) -> Vec<f64> {
+        let storeys = Storeys::of(&layer_bounds_m(scene, &active_layers(scene)));
+        let limit = CellLimit::default().with_storeys(storeys);
+        let is_shared = |distance_m: &f64| match self {
+            Self::Up => {
+                let [eye, reference] = [0.0, *distance_m].map(|up_m| DVec3::Y * (eye_m + up_m));
+                limit.share_storey(eye, reference)
+            }
+            Self::Sideways | Self::Forward => true,
+        };
+        distances_m.iter().copied().filter(is_shared).collect()
     }
 
     /// The distance whose error others are asked to reach later, m.
@@ -250,6 +267,17 @@ impl Fineness {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_reference_in_or_above_the_clouds_is_left_out() {
+        let scene = Scene::default();
+        let shared_m =
+            |direction: Direction| direction.shared_m(&scene, 2.0, direction.distances_m(false));
+        assert_eq!(shared_m(Direction::Up).last(), Some(&1_450.0));
+        assert_eq!(shared_m(Direction::Forward).last(), Some(&5_000.0));
+        let found_m = Direction::Up.shared_m(&scene, 2.0, &[0.0, 1_497.0, 1_499.0, 9_000.0]);
+        assert_eq!(found_m, [0.0, 1_497.0]);
+    }
 
     #[test]
     fn directions_are_level_or_upright_and_as_long_as_they_say() {

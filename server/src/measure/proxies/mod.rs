@@ -20,7 +20,7 @@ use glam::DVec3;
 use image::RgbImage;
 use report::{ProxiesReport, ProxyPoint};
 use setups::{Kept, SETUPS};
-use skycell_protocol::{Camera, FrameSize};
+use skycell_protocol::{Camera, FrameSize, Scene};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -60,7 +60,8 @@ pub struct ProxiesArguments {
     /// Only these directions; all without.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "DIRECTION,...")]
     pub directions: Vec<Direction>,
-    /// Only these distances, m, from small to large; those of the direction without.
+    /// Only these distances, m, from small to large; those of the direction without. Upwards those are left out that are in or above a
+    /// layer.
     #[arg(long, value_delimiter = ',', value_name = "M,...", value_parser = parsed_metres)]
     pub distances_m: Vec<f64>,
     /// Where the middle of the pictures looks above the horizon.
@@ -78,12 +79,12 @@ pub struct ProxiesArguments {
 }
 
 impl ProxiesArguments {
-    fn distances_m(&self, direction: Direction) -> &[f64] {
-        if self.distances_m.is_empty() {
-            direction.distances_m(false)
-        } else {
-            &self.distances_m
-        }
+    fn distances_m(&self, direction: Direction, scene: &Scene) -> Vec<f64> {
+        let asked_m = match &self.distances_m[..] {
+            [] => direction.distances_m(false),
+            asked_m => asked_m,
+        };
+        direction.shared_m(scene, EYE_M, asked_m)
     }
 }
 
@@ -133,7 +134,7 @@ fn measured(arguments: &ProxiesArguments) -> anyhow::Result<ProxiesReport> {
     let sun_azimuth_deg = scene.sun().azimuth_deg();
     let mut bench = Bench {
         arguments,
-        still: StillRenderer::new(config, Arc::new(scene), &[])?,
+        still: StillRenderer::new(config, Arc::new(scene.clone()), &[])?,
         fineness: Fineness {
             steps: arguments.steps,
             samples: arguments.samples,
@@ -145,7 +146,9 @@ fn measured(arguments: &ProxiesArguments) -> anyhow::Result<ProxiesReport> {
         .collect();
     let views = asked(&View::ALL, &arguments.views);
     let directions = asked(&Direction::ALL, &arguments.directions);
-    let distances = directions.iter().map(|d| arguments.distances_m(*d).len());
+    let distances = directions
+        .iter()
+        .map(|d| arguments.distances_m(*d, &scene).len());
     let places = setups.len() * views.len() * distances.sum::<usize>();
     let mut progress = Progress::new(places as u64, places as f64);
     let mut points = Vec::new();
@@ -156,7 +159,7 @@ fn measured(arguments: &ProxiesArguments) -> anyhow::Result<ProxiesReport> {
         let truth = bench.own_rays(eye)?;
         for kept in &setups {
             for direction in &directions {
-                for distance_m in arguments.distances_m(*direction) {
+                for distance_m in arguments.distances_m(*direction, &scene) {
                     let label = format!(
                         "{}, {}, {} {distance_m} m",
                         kept.name,
@@ -164,8 +167,8 @@ fn measured(arguments: &ProxiesArguments) -> anyhow::Result<ProxiesReport> {
                         direction.name()
                     );
                     progress.begin(&label, 1.0);
-                    let is_compared = *distance_m == direction.compared_at_m();
-                    let offset_m = direction.offset_m(&eye, *distance_m);
+                    let is_compared = distance_m == direction.compared_at_m();
+                    let offset_m = direction.offset_m(&eye, distance_m);
                     let seen = bench
                         .seen(&eye, kept, offset_m, is_compared)
                         .with_context(|| label.clone())?;
@@ -184,7 +187,7 @@ fn measured(arguments: &ProxiesArguments) -> anyhow::Result<ProxiesReport> {
                             searched: one.searched,
                             view,
                             direction: *direction,
-                            distance_m: *distance_m,
+                            distance_m,
                             errors,
                             marches: one.marches,
                             bytes: bench.still.resident_bytes(),
