@@ -33,6 +33,9 @@ const SPEED_MAX_M_PER_S: f64 = 1_000.0;
 /// Slower counts as standing, m/s.
 const SPEED_MIN_M_PER_S: f64 = 0.1;
 
+/// Who, and where it is.
+type Member<'a> = (ViewerId, &'a Place);
+
 impl Cells {
     /// Brings cells to where their members are now; `passed_s` since the last time. Returns who is in another cell than
     /// before. Costs nothing while nobody moves and every reference has arrived.
@@ -191,8 +194,7 @@ impl Cells {
             {
                 continue;
             }
-            let places: Vec<(ViewerId, Place)> =
-                members.map(|(viewer, place)| (viewer, *place)).collect();
+            let places: Vec<Member<'_>> = members.collect();
             let mut reference_m = cell.reference_m;
             if let Some(strict) = self.few_who_ask_for_less(&places, reference_m) {
                 leaving.extend(strict);
@@ -206,7 +208,7 @@ impl Cells {
             if 2 * kept.len() < places.len() {
                 kept.clone_from(&places);
             }
-            let is_left_behind = |m: &(ViewerId, Place)| is_far(reference_m, m.1.position_m);
+            let is_left_behind = |m: &Member<'_>| is_far(reference_m, m.1.position_m);
             if kept.iter().any(is_left_behind) {
                 // It was in between the parts.
                 let sum: DVec3 = kept.iter().map(|m| m.1.position_m).sum();
@@ -234,32 +236,31 @@ impl Cells {
     /// them: a wish for less error must not take a crowd apart.
     fn few_who_ask_for_less(
         &self,
-        members: &[(ViewerId, Place)],
+        members: &[Member<'_>],
         reference_m: DVec3,
     ) -> Option<Vec<ViewerId>> {
-        let radius_m = |m: &(ViewerId, Place)| self.limit_of(&m.1).radius_m();
+        let radius_m = |m: &Member<'_>| self.limit_of(m.1).radius_m();
         let least_m = members.iter().map(radius_m).fold(f64::INFINITY, f64::min);
-        let (strict, rest): (Vec<&(ViewerId, Place)>, Vec<_>) =
+        let (strict, rest): (Vec<&Member<'_>>, Vec<_>) =
             members.iter().partition(|&m| radius_m(m) <= least_m);
         let limit = rest
             .iter()
-            .map(|m| self.limit_of(&m.1))
+            .map(|m| self.limit_of(m.1))
             .reduce(CellLimit::narrower)?;
-        let stays = |m: &&(ViewerId, Place)| {
-            limit.distance_m(reference_m, m.1.position_m) <= limit.radius_m()
-        };
+        let stays =
+            |m: &&Member<'_>| limit.distance_m(reference_m, m.1.position_m) <= limit.radius_m();
         (strict.len() < rest.len() && rest.iter().all(stays))
             .then(|| strict.into_iter().map(|m| m.0).collect())
     }
 
     /// Those on one side of a gap: all members where there is none that is worth it, and of two equal parts that of the first
     /// member. The gap is looked for between two members that will soon be far apart.
-    fn larger_part(
+    fn larger_part<'a>(
         &self,
-        members: &[(ViewerId, Place)],
+        members: &[Member<'a>],
         reference_m: DVec3,
         limit: CellLimit,
-    ) -> Vec<(ViewerId, Place)> {
+    ) -> Vec<Member<'a>> {
         let velocity = members.iter().map(|m| m.1.velocity_m_per_s);
         let velocity = velocity.sum::<DVec3>() / members.len().max(1) as f64;
         let soon_m =
@@ -267,7 +268,7 @@ impl Cells {
         let farthest_from = |from_m: DVec3| {
             members
                 .iter()
-                .map(|m| soon_m(&m.1))
+                .map(|m| soon_m(m.1))
                 .max_by(|a, b| {
                     let [a, b] = [a, b].map(|p| limit.distance_m(from_m, *p));
                     a.total_cmp(&b)
@@ -277,9 +278,9 @@ impl Cells {
         let one_m = farthest_from(reference_m);
         let other_m = farthest_from(one_m);
         let axis = (other_m - one_m).normalize_or_zero();
-        let mut along: Vec<(f64, (ViewerId, Place))> = members
+        let mut along: Vec<(f64, Member<'_>)> = members
             .iter()
-            .map(|m| ((soon_m(&m.1) - one_m).dot(axis), *m))
+            .map(|m| ((soon_m(m.1) - one_m).dot(axis), *m))
             .collect();
         along.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.0.cmp(&b.1.0)));
         let gaps = along.windows(2).map(|two| two[1].0 - two[0].0);
@@ -373,10 +374,16 @@ impl Cells {
     /// The nearest formed cell that a viewer may enter, but for the one where it is.
     pub(super) fn nearest_formed(&self, place: &Place) -> Option<CellId> {
         let own = self.limit_of(place);
+        // Most cells are far away, and need no closer look: a whole crowd may have to leave at once.
+        let reach_m = ENTER_SHARE * own.radius_m();
+        let may_be_near = |cell: &Cell| {
+            let away_m = cell.reference_m - place.position_m;
+            away_m.x.abs().max(away_m.z.abs()) <= reach_m
+        };
         let mut near: Vec<(f64, CellId)> = self
             .cells
             .iter()
-            .filter(|(id, cell)| !cell.placed && **id != place.cell)
+            .filter(|(id, cell)| !cell.placed && **id != place.cell && may_be_near(cell))
             .map(|(id, cell)| {
                 let limit = own.narrower(cell.limit);
                 let away_m = limit.distance_m(cell.reference_m, place.position_m);

@@ -144,6 +144,8 @@ pub struct CrowdOutcome {
     pub joined_us: f64,
     /// Time of the processor to decide on cells, µs a tick: what else runs does not count, but it differs from run to run.
     pub decision_us: Spread,
+    /// Changes of cells in the decision that took most.
+    pub slowest_changes: usize,
     /// Share of the decisions that took more than [`DECISION_MAX_US`].
     pub slow_decisions_share: f64,
     /// What would be marched.
@@ -158,6 +160,7 @@ impl CrowdOutcome {
     pub fn without_clock(mut self) -> Self {
         self.joined_us = 0.0;
         self.decision_us = Spread::default();
+        self.slowest_changes = 0;
         self.slow_decisions_share = 0.0;
         self
     }
@@ -193,6 +196,8 @@ struct Watch<'a> {
     cell_counts: Vec<f64>,
     joined_us: f64,
     decisions_us: Vec<f64>,
+    /// What the slowest took, µs, and changes of cells in it.
+    slowest: (f64, usize),
     shares: Vec<f64>,
     errors: Vec<f64>,
     seconds: Vec<CrowdSecond>,
@@ -283,6 +288,7 @@ impl<'a> Watch<'a> {
             cell_counts: Vec::new(),
             joined_us: 0.0,
             decisions_us: Vec::new(),
+            slowest: (0.0, 0),
             shares: Vec::new(),
             errors: Vec::new(),
             seconds: Vec::new(),
@@ -307,7 +313,11 @@ impl<'a> Watch<'a> {
             self.cells.place(viewer(place), *position_m);
         }
         let changes = self.cells.regroup(tick_s);
-        self.decisions_us.push(begun.elapsed().as_secs_f64() * 1e6);
+        let took_us = begun.elapsed().as_secs_f64() * 1e6;
+        if took_us > self.slowest.0 {
+            self.slowest = (took_us, changes.len());
+        }
+        self.decisions_us.push(took_us);
         for change in &changes {
             self.flips.note(change, time_s);
         }
@@ -376,6 +386,7 @@ impl<'a> Watch<'a> {
             distance_share: Spread::of(self.shares),
             error: Spread::of(self.errors),
             joined_us: self.joined_us,
+            slowest_changes: self.slowest.1,
             slow_decisions_share: slow as f64 / self.decisions_us.len().max(1) as f64,
             decision_us: Spread::of(self.decisions_us),
             texels: texels(setup, &sums),
