@@ -12,7 +12,6 @@ mod tests;
 
 pub(super) use way::{Readiness, Stage, Way};
 
-use super::cells_on_device::ActiveCell;
 use super::interface::TransitionStats;
 use super::renderer::SkyRenderer;
 use super::viewers_on_device::ActiveViewer;
@@ -440,31 +439,28 @@ impl SkyRenderer {
         let room = VIEWERS_MAX.saturating_sub(self.viewers_in_transition());
         // Who is just coming here would see the place that it comes to become another.
         let all_may_go = stay.clone().count() <= room && stay.all(|v| v.transition.is_none());
-        let limit = self.cells.limit();
-        let Some(cell) = self.active_cells.get_mut(&id) else {
-            return false;
+        let stood_m = match self.active_cells.get(&id) {
+            Some(cell) if cell.is_late && all_may_go => cell.reference_m,
+            _ => return false,
         };
-        let stood_m = cell.reference_m;
-        if !all_may_go || !cell.is_late || !limit.share_storey(stood_m, reference_m) {
-            return false;
-        }
         let apart_rad = self.apart_rad_of(stood_m, reference_m);
-        if apart_rad <= LATE_MAX_RAD {
+        let is_seen_alike = self.cells.limit().share_storey(stood_m, reference_m);
+        if apart_rad <= LATE_MAX_RAD || !is_seen_alike {
             return false;
         }
-        let moved = |cell: &mut ActiveCell, is_late, came_from_m, reference_m| {
-            cell.is_late = is_late;
-            cell.came_from_m = came_from_m;
-            cell.reference_m = reference_m;
-        };
-        if let Some(cell) = self.active_cells.get_mut(&id) {
-            moved(cell, false, stood_m, reference_m);
-        }
+        self.move_reference(id, stood_m, reference_m);
         let is_left = self.leave_behind(id, apart_rad, false);
-        if !is_left && let Some(cell) = self.active_cells.get_mut(&id) {
-            moved(cell, true, stood_m, stood_m);
+        if !is_left {
+            self.move_reference(id, stood_m, stood_m);
         }
         is_left
+    }
+
+    fn move_reference(&mut self, id: CellId, from_m: DVec3, to_m: DVec3) {
+        if let Some(cell) = self.active_cells.get_mut(&id) {
+            cell.came_from_m = from_m;
+            cell.reference_m = to_m;
+        }
     }
 
     /// Shows every viewer the cell that it belongs to: nothing is left of what was shown.
