@@ -435,17 +435,17 @@ impl SkyRenderer {
     /// place as to another cell: dragged there, a picture would change within seconds. False where it does not have far to go, or where
     /// there is no room for all of them; then it follows by and by.
     pub(super) fn let_go(&mut self, id: CellId, reference_m: DVec3) -> bool {
-        let mut stay = self.viewers.values().filter(|viewer| viewer.cell == id);
-        let room = VIEWERS_MAX.saturating_sub(self.viewers_in_transition());
-        // Who is just coming here would see the place that it comes to become another.
-        let all_may_go = stay.clone().count() <= room && stay.all(|v| v.transition.is_none());
         let stood_m = match self.active_cells.get(&id) {
-            Some(cell) if cell.is_late && all_may_go => cell.reference_m,
+            Some(cell) if cell.is_late => cell.reference_m,
             _ => return false,
         };
         let apart_rad = self.apart_rad_of(stood_m, reference_m);
         let is_seen_alike = self.cells.limit().share_storey(stood_m, reference_m);
-        if apart_rad <= LATE_MAX_RAD || !is_seen_alike {
+        let mut stay = self.viewers.values().filter(|viewer| viewer.cell == id);
+        let room = VIEWERS_MAX.saturating_sub(self.viewers_in_transition());
+        // Who is just coming here would see the place that it comes to become another.
+        let all_may_go = stay.clone().count() <= room && stay.all(|v| v.transition.is_none());
+        if apart_rad <= LATE_MAX_RAD || !is_seen_alike || !all_may_go {
             return false;
         }
         self.move_reference(id, stood_m, reference_m);
