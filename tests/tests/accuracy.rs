@@ -82,12 +82,19 @@ fn the_cached_sky_is_as_close_to_the_screen_space_sky_as_published() -> anyhow::
 }
 
 /// At 1920×1080. Each coarser cache must be worse, else the bias does nothing; none may be far behind what its number of texels
-/// can show at all.
+/// can show at all. With samples by area one viewer alone, looking at nearly nothing but sky, costs no more than its own rays would.
 #[test]
 #[ignore = "slower suite: deploy/test --full"]
 fn each_step_of_mip_bias_costs_accuracy() -> anyhow::Result<()> {
     let caches = [0.0, 1.0, 2.0, 3.0].map(|bias| (bias, false));
-    compare([1920, 1080], &[(0.0, true)])?;
+    let by_area = [0.0, 1.0].map(|bias| (bias, true));
+    for (found, flip_max) in compare([1920, 1080], &by_area)?
+        .iter()
+        .zip([FLIP_MAX, 0.0088])
+    {
+        assert!(found.updates_per_ray <= 1.05, "{}", found.updates_per_ray);
+        assert!(found.apart.flip <= flip_max, "{:?}", found.apart);
+    }
     let measured = compare([1920, 1080], &caches)?;
     for pair in measured.windows(2) {
         let [finer, coarser] = [pair[0].apart, pair[1].apart];
@@ -96,9 +103,7 @@ fn each_step_of_mip_bias_costs_accuracy() -> anyhow::Result<()> {
             "{finer:?} {coarser:?}"
         );
     }
-    // What is wanted is .0040, .0088 and .0138. The first is missed by .00003 (.00403), so it is held where it is: what is left is a level
-    // of 255 in a sixteenth of the values.
-    for (found, most) in measured.iter().zip([0.0041, 0.0088, 0.0138]) {
+    for (found, most) in measured.iter().zip([0.0040, 0.0088, 0.0138]) {
         assert!(found.apart.flip <= most, "{:?}", found.apart);
     }
     for found in measured.iter().filter(|found| found.bias >= 1.0) {

@@ -7,8 +7,8 @@ use super::sphere::Want;
 pub struct TexelSamples {
     /// So many at most, 1 or more.
     pub most: u32,
-    /// Where several texels make a pixel, it is their samples together that are so many: what is finer than pixels costs no more
-    /// rays than these, and is as noisy.
+    /// Where several texels make a pixel, it is their samples together that are so many, or fewer: what is finer than pixels costs no
+    /// more rays than these, and is a little noisier.
     pub by_area: bool,
 }
 
@@ -48,11 +48,11 @@ impl TexelSamples {
         if !self.by_area {
             return self.most;
         }
-        // The two of a pair are on opposite sides of the middle of their texel; one alone shifts it.
-        let pairs = (0.5 * texel_pixels * f64::from(self.most)).round();
-        let wanted = 2.0 * pairs.max(1.0);
-        // No more than there are, so it is no larger than that number.
-        wanted.min(f64::from(self.most)) as u32
+        // The two of a pair are on opposite sides of the middle of their texel, so there are whole pairs. They are rounded down:
+        // gutters and what edges of pictures cut off are marched on top. One sample alone stands on either side, from texel to texel.
+        let pairs = (0.5 * texel_pixels * f64::from(self.most)).floor();
+        // No more than there are, so it is no larger than that number. What is no number is one.
+        (2.0 * pairs).max(1.0).min(f64::from(self.most)) as u32
     }
 }
 
@@ -71,19 +71,30 @@ mod tests {
     }
 
     #[test]
-    fn a_pixel_has_its_samples_whether_one_texel_makes_it_or_several() {
+    fn a_pixel_has_its_samples_or_fewer_whether_one_texel_makes_it_or_several() {
         let shared = TexelSamples::new(8, true);
-        for width in [0.35, 0.5, 0.6, 0.7, 0.8] {
-            let area = width * width;
-            let of_pixel = f64::from(shared.of(&want(1, area))) / area;
-            // Pairs are whole ones, and there is one at least.
-            let pair = 2.0 / area;
-            let off = (of_pixel - 8.0).abs();
-            assert!(off <= 0.5 * pair || of_pixel == pair, "{width}: {of_pixel}");
+        for width in [0.3, 0.35, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0] {
+            let area: f64 = width * width;
+            let of_texel = shared.of(&want(1, area));
+            let of_pixel = f64::from(of_texel) / area;
+            assert!(of_pixel <= 8.0 || of_texel == 1, "{width}: {of_pixel}");
+            // Short of them by less than a pair.
+            assert!(of_pixel > 8.0 - 2.0 / area, "{width}: {of_pixel}");
         }
-        let counts = [0.0, 0.1225, 0.25, 0.5, 1.0, 4.0, f64::INFINITY, f64::NAN];
+        let counts = [
+            0.0,
+            0.1225,
+            0.25,
+            0.5,
+            0.74,
+            0.75,
+            1.0,
+            4.0,
+            f64::INFINITY,
+            f64::NAN,
+        ];
         let of = counts.map(|area| shared.of(&want(2, area)));
-        assert_eq!(of, [2, 2, 2, 4, 8, 8, 8, 2]);
+        assert_eq!(of, [1, 1, 2, 4, 4, 6, 8, 8, 8, 1]);
         // A sample is a sample, and where nobody asks for a tile one is enough.
         assert_eq!(shared.with_most(1).of(&want(1, 1.0)), 1);
         assert_eq!(shared.of(&want(0, 1.0)), 1);
