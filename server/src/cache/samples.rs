@@ -1,15 +1,23 @@
 //! How many samples a texel averages.
 
+use super::TEXELS_PER_TILE;
 use super::sphere::Want;
 
+/// Where tiles that nobody shares would take more rays for each of a screen-space renderer than this, texels get fewer samples.
+const RAYS_MAX: f64 = 1.05;
+/// Shares of the pixels' samples that are tried then, until they fit; the last one counts if none does.
+const PIXEL_SHARES: [f64; 6] = [1.0, 0.9, 0.8, 0.7, 0.6, 0.5];
+
 /// Samples that texels average.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TexelSamples {
     /// So many at most, 1 or more.
     pub most: u32,
     /// Where several texels make a pixel, it is their samples together that are so many, or fewer: what is finer than pixels costs no
     /// more rays than these, and is a little noisier.
     pub by_area: bool,
+    /// By area, texels have so much of the pixels' samples together; 1 at most.
+    pixel_share: f64,
 }
 
 impl TexelSamples {
@@ -19,6 +27,7 @@ impl TexelSamples {
         Self {
             most: most.max(1),
             by_area,
+            pixel_share: 1.0,
         }
     }
 
@@ -31,7 +40,33 @@ impl TexelSamples {
     /// The same for another number.
     #[must_use]
     pub fn with_most(self, most: u32) -> Self {
-        Self::new(most, self.by_area)
+        Self {
+            most: most.max(1),
+            ..self
+        }
+    }
+
+    /// By area, the most with which wanted tiles cost hardly more rays than pictures of so many pixels with as many samples.
+    /// Gutters, and what edges of pictures cut off, are marched on top: where texels are just as wide as pixels all over a picture,
+    /// by a long lens, they are a quarter. The coarse level, which is there for whoever turns, is not reckoned.
+    #[must_use]
+    pub(super) fn fitting<'a>(self, wants: impl Iterator<Item = &'a Want>, pixels: u64) -> Self {
+        if !self.by_area {
+            return self;
+        }
+        let asked: Vec<&Want> = wants.filter(|want| want.viewers > 0).collect();
+        let rays_max = RAYS_MAX * pixels as f64 * f64::from(self.most);
+        let with = |pixel_share| Self {
+            pixel_share,
+            ..self
+        };
+        let fits = |samples: &Self| {
+            let of_tiles: u64 = asked.iter().map(|want| u64::from(samples.of(want))).sum();
+            (of_tiles * TEXELS_PER_TILE) as f64 <= rays_max
+        };
+        let shares = PIXEL_SHARES.into_iter().map(with);
+        let least = with(PIXEL_SHARES[PIXEL_SHARES.len() - 1]);
+        shares.into_iter().find(fits).unwrap_or(least)
     }
 
     /// Samples that the texels of a tile should average: one where it only fills in for tiles that are not there yet.
@@ -50,7 +85,8 @@ impl TexelSamples {
         }
         // The two of a pair are on opposite sides of the middle of their texel, so there are whole pairs. They are rounded down:
         // gutters and what edges of pictures cut off are marched on top. One sample alone stands on either side, from texel to texel.
-        let pairs = (0.5 * texel_pixels * f64::from(self.most)).floor();
+        let share = self.pixel_share * texel_pixels.clamp(0.0, 1.0);
+        let pairs = (0.5 * share * f64::from(self.most)).floor();
         // No more than there are, so it is no larger than that number. What is no number is one.
         (2.0 * pairs).max(1.0).min(f64::from(self.most)) as u32
     }
@@ -99,5 +135,37 @@ mod tests {
         assert_eq!(shared.with_most(1).of(&want(1, 1.0)), 1);
         assert_eq!(shared.of(&want(0, 1.0)), 1);
         assert_eq!(TexelSamples::each(8).of(&want(1, 0.1)), 8);
+    }
+
+    #[test]
+    fn tiles_that_nobody_shares_cost_no_more_rays_than_the_pixels_of_their_viewers() {
+        // Texels as wide as pixels by some lens, all over the picture, and a quarter marched on top of them.
+        for texel_pixels in [0.3, 0.5, 0.75, 0.8, 1.0, 1.1, 1.25, 2.0, 4.0] {
+            let wants: Vec<Want> = (0..400).map(|_| want(1, texel_pixels)).collect();
+            let texels = wants.len() as f64 * TEXELS_PER_TILE as f64;
+            let pixels = (texels * texel_pixels / 1.25) as u64;
+            let fitting = TexelSamples::new(8, true).fitting(wants.iter(), pixels);
+            let each = fitting.of(&wants[0]);
+            let rays = texels * f64::from(each) / (8.0 * pixels as f64);
+            assert!(rays <= 1.05, "{texel_pixels}: {rays}");
+            // And not much fewer: with two more it would be too many, or all are there.
+            let with_more = rays * f64::from(each + 2) / f64::from(each);
+            assert!(each == 8 || with_more > 1.0, "{texel_pixels}: {rays}");
+            // Of two who look there nobody has fewer for it.
+            let shared = TexelSamples::new(8, true).fitting(wants.iter(), 2 * pixels);
+            assert_eq!(shared, TexelSamples::new(8, true));
+        }
+        let few = [want(0, 0.0), want(1, 1.0)];
+        let each = TexelSamples::each(8);
+        assert_eq!(each.fitting(few.iter(), 1), each);
+        // Where nothing fits, there are still samples; and tiles that nobody asks for count for nothing.
+        assert_eq!(
+            TexelSamples::new(8, true)
+                .fitting(few.iter(), 1)
+                .of(&few[1]),
+            4
+        );
+        let coarse = TexelSamples::new(8, true).fitting(few[..1].iter(), 0);
+        assert_eq!(coarse, TexelSamples::new(8, true));
     }
 }

@@ -3,7 +3,7 @@
 
 use super::auditing::AuditedTexel;
 use super::interface::AskedBy;
-use super::qualities::{Qualities, ViewerQuality};
+use super::qualities::{Qualities, ViewerQuality, has_all_samples};
 use super::renderer::SkyRenderer;
 use crate::cache::LAG_RAD;
 use crate::quality::{AuditedError, BEYOND_MAX, ErrorGovernor, QualitySettings};
@@ -134,7 +134,7 @@ impl SkyRenderer {
         for (_, error) in &asked {
             let is_known = governors.iter().any(|(known, _)| known == error);
             if !is_known && governors.len() < ERRORS_MAX {
-                let least = table.pick_error(*error).point;
+                let least = table.pick_error_among(*error, has_all_samples).point;
                 governors.push((*error, ErrorGovernor::new(least)));
             }
         }

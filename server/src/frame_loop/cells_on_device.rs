@@ -506,8 +506,10 @@ impl SkyRenderer {
             }
             let wait_share = self.wait_share(id);
             let mut read: Vec<&[Vec<TileRequest>]> = Vec::new();
+            let mut pixels = 0;
             for viewer in self.viewers.values_mut() {
                 let size = viewer.view.size;
+                let picture_pixels = u64::from(viewer.view.picture_size().pixels());
                 let mip_bias = viewer.quality.settings.mip_bias;
                 let domes = self.kept_on.has_domes();
                 // Each eye, and whether it searches.
@@ -545,6 +547,7 @@ impl SkyRenderer {
                         .collect();
                 }
                 read.push(requests);
+                pixels += picture_pixels;
             }
             // Nobody who reads the cache: nobody who needs its coarse level.
             let used = !read.is_empty();
@@ -567,6 +570,7 @@ impl SkyRenderer {
                 sphere.set_samples(cell.samples.with_most(rate.samples(cell.samples.most)));
                 sphere.set_age_factor(age_factor);
                 sphere.set_wanted(if used { coarse } else { &[] }, requests);
+                sphere.fit_samples(pixels);
             }
             cell.requests_changed = false;
         }

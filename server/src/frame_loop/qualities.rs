@@ -11,7 +11,7 @@ use crate::config::RenderConfig;
 use crate::gpu::TimedPass;
 use crate::march::MarchSettings;
 use crate::quality::{
-    BudgetGovernor, FrameCost, Pick, QualityOverrides, QualitySettings, QualityTable,
+    BudgetGovernor, FrameCost, Pick, QualityOverrides, QualityPoint, QualitySettings, QualityTable,
 };
 use skycell_protocol::{CellId, QualityChoice, QualityPreset, RendererKind, ViewerId};
 use std::time::{Duration, Instant};
@@ -86,6 +86,17 @@ pub(super) struct ViewerQuality {
     device_ms: Option<f64>,
 }
 
+/// Texels have all samples: it is they that audits hold against an error that somebody asks for.
+pub(super) fn has_all_samples(point: &QualityPoint) -> bool {
+    !point.settings.samples_by_area
+}
+
+/// Samples go by area, for who promises nothing, and there are few tiles: at a mip bias of 0 there are three times as many, which
+/// cost a software driver more than fewer samples save.
+fn is_cheap_to_show(point: &QualityPoint) -> bool {
+    point.settings.samples_by_area && point.settings.mip_bias >= 1.0
+}
+
 /// A point's settings but for those that tell nothing where points are measured, at the reference.
 fn from_the_reference(point: QualitySettings, picked: &QualitySettings) -> QualitySettings {
     QualitySettings {
@@ -125,10 +136,17 @@ impl Qualities {
     }
 
     /// The point to begin with, and the governor of a budget.
-    fn pick(&self, choice: QualityChoice) -> (Pick, Option<BudgetGovernor>) {
+    fn pick(&self, choice: QualityChoice, by: AskedBy) -> (Pick, Option<BudgetGovernor>) {
         match choice {
             QualityChoice::Preset(preset) => (self.table.pick_preset(preset), None),
-            QualityChoice::MaxError(flip) => (self.table.pick_error(flip), None),
+            QualityChoice::MaxError(flip) => {
+                let pick = if self.asked_error(choice, by).is_some() {
+                    self.table.pick_error_among(flip, has_all_samples)
+                } else {
+                    self.table.pick_error_among(flip, is_cheap_to_show)
+                };
+                (pick, None)
+            }
             QualityChoice::BudgetMs(_) => {
                 // Until it is measured, in the middle.
                 let pick = Pick {
@@ -146,7 +164,7 @@ impl Qualities {
 
     /// What viewers get when nobody asks for anything.
     pub(super) fn default_settings(&self) -> QualitySettings {
-        self.settings(self.pick(self.default).0)
+        self.settings(self.pick(self.default, AskedBy::Server).0)
     }
 
     fn stats(&self, quality: &ViewerQuality) -> QualityStats {
@@ -235,8 +253,10 @@ impl SkyRenderer {
             None => self.scene_choice(),
         };
         let (pick, governor) = match old {
-            Some(old) if old.asked == asked => (old.pick, old.governor.clone()),
-            _ => self.qualities.pick(asked),
+            Some(old) if (old.asked, old.asked_by) == (asked, asked_by) => {
+                (old.pick, old.governor.clone())
+            }
+            _ => self.qualities.pick(asked, asked_by),
         };
         let settings = if self.qualities.are_chosen {
             self.within_scene(self.qualities.settings_for(asked, asked_by, pick.point))
@@ -278,7 +298,7 @@ impl SkyRenderer {
             Some(QualityChoice::BudgetMs(_)) | None => None,
             Some(_) if !self.qualities.are_chosen => None,
             Some(choice) => {
-                let point = self.qualities.pick(choice).0.point;
+                let point = self.qualities.pick(choice, AskedBy::Scene).0.point;
                 let settings = self.qualities.settings_for(choice, AskedBy::Scene, point);
                 Some(self.within_scene(settings))
             }
@@ -420,7 +440,7 @@ impl SkyRenderer {
         match follower {
             Some(viewer) => self.qualities.stats(&viewer.quality),
             None => {
-                let (pick, _) = self.qualities.pick(asked);
+                let (pick, _) = self.qualities.pick(asked, asked_by);
                 self.qualities.stats(&ViewerQuality {
                     asked,
                     asked_by,

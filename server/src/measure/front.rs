@@ -36,8 +36,8 @@ impl Preset {
     pub fn flip_max(self) -> Option<f64> {
         match self {
             Self::Draft => Some(0.06),
-            Self::Balanced => Some(0.015),
-            Self::High => Some(0.01),
+            Self::Balanced => Some(0.012),
+            Self::High => Some(0.008),
             Self::Reference => None,
         }
     }
@@ -122,8 +122,8 @@ mod tests {
             (1.0, 0.08),
             (2.0, 0.04),
             (3.0, 0.03),
-            (4.0, 0.009),
-            (9.0, 0.008),
+            (4.0, 0.007),
+            (9.0, 0.006),
             (10.0, 0.5),
         ]
         .map(|(cost, error)| Tradeoff { cost, error });

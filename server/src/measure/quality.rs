@@ -6,17 +6,20 @@ use super::settings::PointSettings;
 use serde_json::{Value, json};
 use skycell_protocol::Scene;
 
-/// The points of the quality front, a preset's point once for each preset that it is; with numbers for what the scene
-/// leaves open.
+/// The points that nothing beats, also of those with all samples in each texel alone, one of which who asks for an error gets, and of
+/// those with few tiles. A preset's point is there once for each preset that it is; with numbers for what the scene leaves open.
 #[must_use]
 pub fn quality_file(report: &Report, scene: &Scene) -> Value {
     let best_cost = report
         .quality_front
         .last()
         .and_then(|i| report.points[*i].frame_cost);
+    let alone = (report.each_texel_front.iter()).chain(&report.few_tiles_front);
+    let beaten = alone.filter(|i| !report.quality_front.contains(i));
     let points: Vec<Value> = report
         .quality_front
         .iter()
+        .chain(beaten)
         .flat_map(|i| {
             let presets: Vec<Option<Preset>> = report
                 .presets

@@ -281,6 +281,7 @@ fn finer(table: &QualityTable, point: usize) -> Option<usize> {
             && there.cost.relative > here.cost.relative
             && there.settings.march_steps > here.settings.march_steps
             && there.settings.samples >= here.settings.samples
+            && !there.settings.samples_by_area
     })
 }
 

@@ -192,9 +192,18 @@ impl QualityTable {
     /// The cheapest point whose mean FLIP is not above `max_flip`; where all are worse, the best.
     #[must_use]
     pub fn pick_error(&self, max_flip: f64) -> Pick {
-        let good_enough = self.points.iter().position(|p| p.error.flip <= max_flip);
+        self.pick_error_among(max_flip, |_| true)
+    }
+
+    /// The same among the points that `belongs` takes, where it takes any.
+    #[must_use]
+    pub fn pick_error_among(&self, max_flip: f64, belongs: impl Fn(&QualityPoint) -> bool) -> Pick {
+        let good_enough = (self.points.iter()).position(|p| belongs(p) && p.error.flip <= max_flip);
+        let picked = good_enough
+            .or_else(|| self.best(&belongs))
+            .or_else(|| self.best(|_| true));
         Pick {
-            point: good_enough.unwrap_or_else(|| self.best(|_| true).unwrap_or(0)),
+            point: picked.unwrap_or(0),
             is_met: good_enough.is_some(),
         }
     }

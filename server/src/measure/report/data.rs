@@ -217,6 +217,10 @@ pub struct Report {
     pub front: Vec<usize>,
     /// The same among the points that a server can be set to.
     pub quality_front: Vec<usize>,
+    /// And among those of them with all samples in each texel, for who asks for an error.
+    pub each_texel_front: Vec<usize>,
+    /// And among those by area with few tiles, for devices on which it is tiles that cost.
+    pub few_tiles_front: Vec<usize>,
     /// Presets, picked from `quality_front`.
     pub presets: Vec<PresetChoice>,
 }
@@ -240,6 +244,12 @@ impl Report {
         let tradeoffs: Vec<Tradeoff> = points.iter().map(ReportPoint::tradeoff).collect();
         let front = front_of(&points, &tradeoffs, |p| p.codec.is_none());
         let quality_front = front_of(&points, &tradeoffs, PointSettings::is_quality);
+        let each_texel_front = front_of(&points, &tradeoffs, |p| {
+            p.is_quality() && !p.samples_by_area
+        });
+        let few_tiles_front = front_of(&points, &tradeoffs, |p| {
+            p.is_quality() && p.samples_by_area && p.mip_bias >= 1.0
+        });
         for i in &front {
             points[*i].on_front = true;
         }
@@ -262,6 +272,8 @@ impl Report {
             points,
             front,
             quality_front,
+            each_texel_front,
+            few_tiles_front,
             presets,
         }
     }

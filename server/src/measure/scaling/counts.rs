@@ -78,6 +78,7 @@ pub fn count(setup: &RingSetup, across_deg: f64, scene: &Scene) -> anyhow::Resul
         })
         .collect();
     let by_area = TexelSamples::new(setup.samples, true);
+    let pixels = u64::from(setup.viewers) * u64::from(setup.size.pixels());
     let (mut tiles, mut tiles_coarse, mut blocks, mut samples) = (0, 0, 0, 0);
     let mut wish = Wish::default();
     for sphere in &spheres {
@@ -93,8 +94,10 @@ pub fn count(setup: &RingSetup, across_deg: f64, scene: &Scene) -> anyhow::Resul
         let coarse = coarse_tiles(sphere, at);
         wish.add(&coarse, &requests);
         let mut cache = SphereCache::default();
+        cache.set_samples(by_area);
         cache.set_wanted(&coarse, &requests);
-        samples += cache.wanted_samples(by_area) - cache.coarse_only();
+        cache.fit_samples(pixels);
+        samples += cache.wanted_samples(cache.samples().unwrap_or(by_area)) - cache.coarse_only();
         let beside = coarse.iter().filter(|tile| !seen.contains_key(&tile.key));
         tiles += seen.len() as u64;
         tiles_coarse += beside.count() as u64;
@@ -103,7 +106,7 @@ pub fn count(setup: &RingSetup, across_deg: f64, scene: &Scene) -> anyhow::Resul
             .map(|mask| u64::from(mask.count_ones()))
             .sum::<u64>();
     }
-    let pixels = f64::from(setup.viewers) * f64::from(setup.size.pixels());
+    let pixels = pixels as f64;
     let mut sky = 0;
     let views = cameras.iter().map(|c| view_frustum(c, setup.size, &frame));
     for view in views {
@@ -205,6 +208,20 @@ mod tests {
             // Texels are at most 0.8 pixels wide.
             let least = count.sky_share / (0.8 * 0.8);
             assert!(count.seen_per_pixel > least, "{count:?}");
+        }
+    }
+
+    #[test]
+    fn by_area_pictures_that_share_nothing_take_no_more_samples_than_screen_space_by_any_lens() {
+        for size in [[320, 180], [640, 360], [1280, 720], [1920, 1080]] {
+            for mip_bias in [0.0, 0.5, 1.0, 2.0] {
+                for across_deg in [22.5, 27.0, 45.0, 60.0, 90.0, 110.0] {
+                    let count = counted((1, across_deg, 0.0), mip_bias, size);
+                    // Of 14 tiles' pixels: whole tiles are half as many again by the longest lens, and half of the samples are kept.
+                    let most = if size[1] < 360 { 1.07 } else { 1.05 };
+                    assert!(count.samples_per_pixel <= most, "{count:?}");
+                }
+            }
         }
     }
 }
