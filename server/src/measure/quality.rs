@@ -88,8 +88,9 @@ fn quality_point(
         "settings": {
             "march_steps": steps,
             "sun_steps": sun_steps.unwrap_or(scene.light().sun_steps()),
-            "sun_depth": sun_depth.unwrap_or(scene.light().sun_depth()),
-            // How many terms of the sum there are is the scene's to say: another number is another sky.
+            // These are the scene's to say where a point does not: another way to the sun is another cost, and another number of terms
+            // another sky.
+            "sun_depth": sun_depth,
             "octaves": octaves,
             "samples": samples,
             "samples_by_area": samples_by_area,

@@ -311,7 +311,10 @@ fn who_stays_when_fifteen_leave_holds_and_sees_no_more_than_one_who_is_alone() {
 
 #[test]
 fn marching_that_does_not_keep_up_takes_fewer_samples_and_says_so() {
-    let mut driven = Driven::configured(4, &calm(), &[], |config| config.samples = Some(8));
+    let mut driven = Driven::configured(4, &calm(), &[], |config| {
+        config.samples = Some(8);
+        config.samples_by_area = Some(false);
+    });
     driven.renderer.join(ONE, view(SMALL, camera(0.0, 0.0)));
     let mut now = Instant::now();
     // A driver so slow that a tile takes a second, and a viewer who turns.
