@@ -46,27 +46,48 @@ impl TexelSamples {
         }
     }
 
-    /// By area, the most with which wanted tiles cost hardly more rays than pictures of so many pixels with as many samples.
-    /// Gutters, and what edges of pictures cut off, are marched on top: where texels are just as wide as pixels all over a picture,
-    /// by a long lens, they are a quarter. The coarse level, which is there for whoever turns, is not reckoned.
+    /// By area, the most with which what each viewer asks for alone, areas of texels in its pixels beside the number of these, costs
+    /// hardly more rays than its picture with as many samples. Gutters, and what edges of pictures cut off, are marched on top: where
+    /// texels are just as wide as pixels all over a picture, by a long lens, they are a quarter. Who sees the same as another changes
+    /// nothing. The coarse level, which is there for whoever turns, is not reckoned.
     #[must_use]
-    pub(super) fn fitting<'a>(self, wants: impl Iterator<Item = &'a Want>, pixels: u64) -> Self {
+    pub fn fitting<Texels>(self, viewers: impl IntoIterator<Item = (Texels, u64)>) -> Self
+    where
+        Texels: Iterator<Item = f64> + Clone,
+    {
         if !self.by_area {
             return self;
         }
-        let asked: Vec<&Want> = wants.filter(|want| want.viewers > 0).collect();
-        let rays_max = RAYS_MAX * pixels as f64 * f64::from(self.most);
-        let with = |pixel_share| Self {
-            pixel_share,
+        let shares = (viewers.into_iter())
+            .filter_map(|(texels, pixels)| self.fitting_share(&texels, pixels))
+            .reduce(f64::max);
+        Self {
+            pixel_share: shares.unwrap_or(1.0),
             ..self
-        };
-        let fits = |samples: &Self| {
-            let of_tiles: u64 = asked.iter().map(|want| u64::from(samples.of(want))).sum();
+        }
+    }
+
+    /// None for a viewer who asks for nothing.
+    fn fitting_share(
+        self,
+        texels: &(impl Iterator<Item = f64> + Clone),
+        pixels: u64,
+    ) -> Option<f64> {
+        texels.clone().next()?;
+        let rays_max = RAYS_MAX * pixels as f64 * f64::from(self.most);
+        let fits = |pixel_share: f64| {
+            let samples = Self {
+                pixel_share,
+                ..self
+            };
+            let of_tiles: u64 = (texels.clone())
+                .map(|texel_pixels| u64::from(samples.of_texel(texel_pixels)))
+                .sum();
             (of_tiles * TEXELS_PER_TILE) as f64 <= rays_max
         };
-        let shares = PIXEL_SHARES.into_iter().map(with);
-        let least = with(PIXEL_SHARES[PIXEL_SHARES.len() - 1]);
-        shares.into_iter().find(fits).unwrap_or(least)
+        let least = PIXEL_SHARES[PIXEL_SHARES.len() - 1];
+        let fitting = PIXEL_SHARES.into_iter().find(|share| fits(*share));
+        Some(fitting.unwrap_or(least))
     }
 
     /// Samples that the texels of a tile should average: one where it only fills in for tiles that are not there yet.
@@ -141,31 +162,31 @@ mod tests {
     fn tiles_that_nobody_shares_cost_no_more_rays_than_the_pixels_of_their_viewers() {
         // Texels as wide as pixels by some lens, all over the picture, and a quarter marched on top of them.
         for texel_pixels in [0.3, 0.5, 0.75, 0.8, 1.0, 1.1, 1.25, 2.0, 4.0] {
-            let wants: Vec<Want> = (0..400).map(|_| want(1, texel_pixels)).collect();
-            let texels = wants.len() as f64 * TEXELS_PER_TILE as f64;
+            let tiles = std::iter::repeat_n(texel_pixels, 400);
+            let texels = 400.0 * TEXELS_PER_TILE as f64;
             let pixels = (texels * texel_pixels / 1.25) as u64;
-            let fitting = TexelSamples::new(8, true).fitting(wants.iter(), pixels);
-            let each = fitting.of(&wants[0]);
+            let all = TexelSamples::new(8, true);
+            let fitting = all.fitting([(tiles.clone(), pixels)]);
+            let each = fitting.of_texel(texel_pixels);
             let rays = texels * f64::from(each) / (8.0 * pixels as f64);
             assert!(rays <= 1.05, "{texel_pixels}: {rays}");
             // And not much fewer: with two more it would be too many, or all are there.
             let with_more = rays * f64::from(each + 2) / f64::from(each);
             assert!(each == 8 || with_more > 1.0, "{texel_pixels}: {rays}");
-            // Of two who look there nobody has fewer for it.
-            let shared = TexelSamples::new(8, true).fitting(wants.iter(), 2 * pixels);
-            assert_eq!(shared, TexelSamples::new(8, true));
+            // A second one who sees the same changes nothing, nor does who asks for nothing.
+            let none = std::iter::repeat_n(1.0, 0);
+            let twice = [(tiles.clone(), pixels), (tiles.clone(), pixels), (none, 1)];
+            assert_eq!(all.fitting(twice), fitting);
+            // One with a larger picture of the same gets all.
+            let larger = [(tiles.clone(), pixels), (tiles, 2 * pixels)];
+            assert_eq!(all.fitting(larger), all);
         }
-        let few = [want(0, 0.0), want(1, 1.0)];
-        let each = TexelSamples::each(8);
-        assert_eq!(each.fitting(few.iter(), 1), each);
-        // Where nothing fits, there are still samples; and tiles that nobody asks for count for nothing.
+        let wide = |pixels| [(std::iter::once(1.0), pixels)];
         assert_eq!(
-            TexelSamples::new(8, true)
-                .fitting(few.iter(), 1)
-                .of(&few[1]),
-            4
+            TexelSamples::each(8).fitting(wide(1)),
+            TexelSamples::each(8)
         );
-        let coarse = TexelSamples::new(8, true).fitting(few[..1].iter(), 0);
-        assert_eq!(coarse, TexelSamples::new(8, true));
+        // Where nothing fits, there are still samples.
+        assert_eq!(TexelSamples::new(8, true).fitting(wide(1)).of_texel(1.0), 4);
     }
 }

@@ -272,12 +272,6 @@ impl SphereCache {
         self.samples = Some(samples);
     }
 
-    /// By area, no more samples than cost hardly more rays than pictures of so many pixels, which are all that asks for its tiles.
-    pub fn fit_samples(&mut self, pixels: u64) {
-        let fitting = |samples: TexelSamples| samples.fitting(self.wanted.values(), pixels);
-        self.samples = self.samples.map(fitting);
-    }
-
     /// Samples that its texels average, if that was said.
     #[must_use]
     pub fn samples(&self) -> Option<TexelSamples> {

@@ -506,7 +506,8 @@ impl SkyRenderer {
             }
             let wait_share = self.wait_share(id);
             let mut read: Vec<&[Vec<TileRequest>]> = Vec::new();
-            let mut pixels = 0;
+            // Of the picture of each of them.
+            let mut pixels = Vec::new();
             for viewer in self.viewers.values_mut() {
                 let size = viewer.view.size;
                 let picture_pixels = u64::from(viewer.view.picture_size().pixels());
@@ -547,7 +548,7 @@ impl SkyRenderer {
                         .collect();
                 }
                 read.push(requests);
-                pixels += picture_pixels;
+                pixels.push(picture_pixels);
             }
             // Nobody who reads the cache: nobody who needs its coarse level.
             let used = !read.is_empty();
@@ -567,10 +568,19 @@ impl SkyRenderer {
                     cell: id,
                     proxy: proxy as u32,
                 });
-                sphere.set_samples(cell.samples.with_most(rate.samples(cell.samples.most)));
+                let samples = cell.samples.with_most(rate.samples(cell.samples.most));
+                let asked = read.iter().zip(&pixels).filter_map(|(requests, pixels)| {
+                    let texels = requests.get(proxy)?.iter().map(|r| r.texel_pixels);
+                    Some((texels, *pixels))
+                });
+                // Where a level is taken away, there is a quarter of the tiles.
+                sphere.set_samples(if cell.lost == 0 {
+                    samples.fitting(asked)
+                } else {
+                    samples
+                });
                 sphere.set_age_factor(age_factor);
                 sphere.set_wanted(if used { coarse } else { &[] }, requests);
-                sphere.fit_samples(pixels);
             }
             cell.requests_changed = false;
         }

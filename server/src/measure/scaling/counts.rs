@@ -78,7 +78,7 @@ pub fn count(setup: &RingSetup, across_deg: f64, scene: &Scene) -> anyhow::Resul
         })
         .collect();
     let by_area = TexelSamples::new(setup.samples, true);
-    let pixels = u64::from(setup.viewers) * u64::from(setup.size.pixels());
+    let pixels = u64::from(setup.size.pixels());
     let (mut tiles, mut tiles_coarse, mut blocks, mut samples) = (0, 0, 0, 0);
     let mut wish = Wish::default();
     for sphere in &spheres {
@@ -86,18 +86,19 @@ pub fn count(setup: &RingSetup, across_deg: f64, scene: &Scene) -> anyhow::Resul
         let mut requests = Vec::new();
         for camera in &cameras {
             let view = view_frustum(camera, setup.size, &frame);
-            for request in requested_tiles(&view, sphere, f64::from(setup.mip_bias)) {
+            let asked = requested_tiles(&view, sphere, f64::from(setup.mip_bias));
+            for request in &asked {
                 *seen.entry(request.key).or_default() |= seen_blocks(&view, sphere, request.key);
-                requests.push(request);
             }
+            requests.push(asked);
         }
         let coarse = coarse_tiles(sphere, at);
-        wish.add(&coarse, &requests);
+        wish.add(&coarse, &requests.concat());
         let mut cache = SphereCache::default();
-        cache.set_samples(by_area);
-        cache.set_wanted(&coarse, &requests);
-        cache.fit_samples(pixels);
-        samples += cache.wanted_samples(cache.samples().unwrap_or(by_area)) - cache.coarse_only();
+        cache.set_wanted(&coarse, requests.iter().flatten());
+        let viewers = (requests.iter()).map(|asked| (asked.iter().map(|r| r.texel_pixels), pixels));
+        let fitting = by_area.fitting(viewers);
+        samples += cache.wanted_samples(fitting) - cache.coarse_only();
         let beside = coarse.iter().filter(|tile| !seen.contains_key(&tile.key));
         tiles += seen.len() as u64;
         tiles_coarse += beside.count() as u64;
@@ -106,7 +107,7 @@ pub fn count(setup: &RingSetup, across_deg: f64, scene: &Scene) -> anyhow::Resul
             .map(|mask| u64::from(mask.count_ones()))
             .sum::<u64>();
     }
-    let pixels = pixels as f64;
+    let pixels = f64::from(setup.viewers) * pixels as f64;
     let mut sky = 0;
     let views = cameras.iter().map(|c| view_frustum(c, setup.size, &frame));
     for view in views {
