@@ -506,11 +506,12 @@ impl SkyRenderer {
             }
             let wait_share = self.wait_share(id);
             let mut read: Vec<&[Vec<TileRequest>]> = Vec::new();
-            // Of the picture of each of them.
+            // How many pixels the picture of each of them has.
             let mut pixels = Vec::new();
             for viewer in self.viewers.values_mut() {
                 let size = viewer.view.size;
-                let picture_pixels = u64::from(viewer.view.picture_size().pixels());
+                // Of one eye: the other sees almost the same.
+                let picture_pixels = u64::from(size.pixels());
                 let mip_bias = viewer.quality.settings.mip_bias;
                 let domes = self.kept_on.has_domes();
                 // Each eye, and whether it searches.
