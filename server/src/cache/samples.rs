@@ -58,11 +58,19 @@ impl TexelSamples {
         if !self.by_area {
             return self;
         }
-        let shares = (viewers.into_iter())
-            .filter_map(|(texels, pixels)| self.fitting_share(&texels, pixels))
-            .reduce(f64::max);
+        let mut largest: Option<f64> = None;
+        for (texels, pixels) in viewers {
+            let share = self.fitting_share(&texels, pixels);
+            if share > largest {
+                largest = share;
+            }
+            // There is no larger one, and others have many tiles, too.
+            if largest == Some(PIXEL_SHARES[0]) {
+                break;
+            }
+        }
         Self {
-            pixel_share: shares.unwrap_or(1.0),
+            pixel_share: largest.unwrap_or(1.0),
             ..self
         }
     }

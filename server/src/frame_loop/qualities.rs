@@ -11,7 +11,8 @@ use crate::config::RenderConfig;
 use crate::gpu::TimedPass;
 use crate::march::MarchSettings;
 use crate::quality::{
-    BudgetGovernor, FrameCost, Pick, QualityOverrides, QualityPoint, QualitySettings, QualityTable,
+    BudgetGovernor, FEW_TILES_MIP_BIAS, FrameCost, Pick, QualityOverrides, QualityPoint,
+    QualitySettings, QualityTable,
 };
 use skycell_protocol::{CellId, QualityChoice, QualityPreset, RendererKind, ViewerId};
 use std::time::{Duration, Instant};
@@ -91,10 +92,10 @@ pub(super) fn has_all_samples(point: &QualityPoint) -> bool {
     !point.settings.samples_by_area
 }
 
-/// Samples go by area, for who promises nothing, and there are few tiles: at a mip bias of 0 there are three times as many, which
-/// cost a software driver more than fewer samples save.
+/// Samples go by area, where nobody was promised anything, and there are few tiles: many cost a software driver more than fewer
+/// samples save.
 fn is_cheap_to_show(point: &QualityPoint) -> bool {
-    point.settings.samples_by_area && point.settings.mip_bias >= 1.0
+    point.settings.samples_by_area && point.settings.mip_bias >= FEW_TILES_MIP_BIAS
 }
 
 /// A point's settings but for those that tell nothing where points are measured, at the reference.
@@ -449,6 +450,36 @@ impl SkyRenderer {
                     settings: self.within_scene(self.qualities.settings(pick)),
                     device_ms: None,
                 })
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_asks_for_an_error_gets_the_cheapest_point_with_all_samples_and_defaults_go_by_area() {
+        let config = RenderConfig::new("no-noise".into());
+        for is_software in [false, true] {
+            let qualities = Qualities::new(&config, is_software);
+            let default = qualities.default_settings();
+            assert!(default.samples_by_area, "{default:?}");
+            assert!(!is_software || default.mip_bias >= 1.0, "{default:?}");
+            for by in [AskedBy::Viewer, AskedBy::Scene] {
+                for flip in [0.009, 0.02, 0.03, 0.1] {
+                    let (pick, _) = qualities.pick(QualityChoice::MaxError(flip), by);
+                    let picked = qualities.table.point(pick.point);
+                    assert!(pick.is_met && picked.error.flip <= flip);
+                    assert!(!picked.settings.samples_by_area, "{picked:?}");
+                    let is_no_better = |p: &QualityPoint| {
+                        p.settings.samples_by_area
+                            || p.error.flip > flip
+                            || p.cost.relative >= picked.cost.relative
+                    };
+                    assert!(qualities.table.points().iter().all(is_no_better));
+                }
             }
         }
     }

@@ -480,10 +480,10 @@ fn front_seeds(extent: Extent) -> Vec<PlannedPoint> {
         ..settings
     };
     let seeds = [
-        // As good and as cheap as the next by most lenses, and cheaper by long ones: of equals the first is taken.
+        // As good and as cheap as with all samples by most lenses, and cheaper by long ones: of equals the first is taken.
         by_area(seed(32, 4, 2.0, 4, Bilinear)),
-        seed(32, 4, 2.0, 4, Bilinear),
         seed(64, 8, 1.0, 6, Bilinear),
+        seed(32, 4, 2.0, 4, Bilinear),
         seed(64, 8, 1.0, 8, CatmullRom),
         seed(64, 8, 0.0, 12, CatmullRom),
         seed(128, 8, 0.0, 8, CatmullRom),
@@ -494,9 +494,10 @@ fn front_seeds(extent: Extent) -> Vec<PlannedPoint> {
         by_area(seed(64, 8, 0.0, 12, CatmullRom)),
         by_area(seed(128, 8, 0.0, 16, CatmullRom)),
     ];
+    let all = seeds.len();
     seeds
         .into_iter()
-        .take(extent.pick(2, 12, 12))
+        .take(extent.pick(2, all, all))
         .map(|settings| front_point(&settings))
         .collect()
 }

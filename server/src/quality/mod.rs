@@ -8,5 +8,8 @@ mod table;
 
 pub use budget::{BudgetGovernor, FrameCost};
 pub use error::{AuditedError, BEYOND_MAX, ErrorGovernor, MarchedAs, Pace};
-pub use settings::{PARALLAX_STEPS_MAX, QualityOverrides, QualitySettings, default_parallax_steps};
+pub use settings::{
+    FEW_TILES_MIP_BIAS, PARALLAX_STEPS_MAX, QualityOverrides, QualitySettings,
+    default_parallax_steps,
+};
 pub use table::{Pick, PointCost, PointError, QualityPoint, QualityTable, QualityTableError};

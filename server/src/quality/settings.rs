@@ -37,6 +37,9 @@ pub struct QualitySettings {
     pub parallax_steps: u32,
 }
 
+/// From this mip bias on there are few tiles: at 0 three times as many.
+pub const FEW_TILES_MIP_BIAS: f64 = 1.0;
+
 /// Most places that a search for what is seen may look at.
 pub const PARALLAX_STEPS_MAX: u32 = 64;
 

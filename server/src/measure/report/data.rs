@@ -4,6 +4,7 @@ use super::super::front::{Preset, Tradeoff, pareto_front, preset_point};
 use super::super::plan::{Axis, Extent, PlannedPoint};
 use super::super::settings::PointSettings;
 use super::super::store::{Measurement, Record};
+use crate::quality::FEW_TILES_MIP_BIAS;
 use serde::Serialize;
 use serde_json::Value;
 use skycell_protocol::{Camera, FrameSize};
@@ -248,7 +249,7 @@ impl Report {
             p.is_quality() && !p.samples_by_area
         });
         let few_tiles_front = front_of(&points, &tradeoffs, |p| {
-            p.is_quality() && p.samples_by_area && p.mip_bias >= 1.0
+            p.is_quality() && p.samples_by_area && f64::from(p.mip_bias) >= FEW_TILES_MIP_BIAS
         });
         for i in &front {
             points[*i].on_front = true;
