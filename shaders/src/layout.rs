@@ -735,6 +735,10 @@ gpu_struct! {
         /// Where the rays of the far part start.
         reach_from: [f32; 3],
         /// Padding.
+        pad_reach: f32,
+        /// Where rays start instead of the eye, to go through what it sees on proxy surfaces (screen-space renderer).
+        start: [f32; 3],
+        /// Padding.
         pad_end: f32,
     }
 }
@@ -784,8 +788,8 @@ gpu_struct! {
         weight: f32,
         /// Half the picture's height at distance 1, over its square.
         upward: [f32; 3],
-        /// Fills to 16 bytes.
-        pad_upward: f32,
+        /// How far from where the shown rays start its own did, m, where that is not the eye.
+        start_moved_m: f32,
         /// Which of a marched pixel's picture pixels has the sample.
         pixel: [f32; 2],
         /// Where in it, 0…1.

@@ -238,6 +238,8 @@ pub struct Features {
     pub phase_of_reference: bool,
     /// Rays come from a list instead of a pinhole camera (screen-space renderer).
     pub ray_list: bool,
+    /// Rays start beside the eye and go through what it sees on shells, one of each layer (screen-space renderer).
+    pub moved_start: bool,
     /// Rays fill a frame of a temporal window (screen-space renderer).
     pub window: bool,
     /// Frames of the window that is summed up, 1 to 16.
@@ -287,6 +289,7 @@ impl Default for Features {
             exact_interpolation: false,
             count_reads: false,
             ray_list: false,
+            moved_start: false,
             window: false,
             window_frames: 1,
             window_at_rest: false,
@@ -333,6 +336,7 @@ impl Features {
                 inside: (bits ^ (bits >> 2) ^ count) & 3 == 1,
                 phase_of_reference: bits & 12 == 0,
                 ray_list: bits & 12 == 4,
+                moved_start: (bits ^ count) & 1 != 0,
                 window: bits & 12 == 12,
                 window_frames: bits + 1,
                 window_at_rest: bits & 8 != 0,
@@ -427,6 +431,10 @@ impl Features {
                 self.clouds_alone == CloudsAlone::WithoutHaze,
             ),
             ("RAY_LIST", self.ray_list),
+            (
+                "MOVED_START",
+                self.moved_start && !self.ray_list && !self.domes,
+            ),
             ("WINDOW", self.window),
             ("WINDOW_AT_REST", self.window_at_rest),
             ("OWN_PHASES", self.own_phases),

@@ -158,6 +158,8 @@ pub struct RenderConfig {
     pub samples_by_area: Option<bool>,
     /// What layers are kept on: keys `proxies`, `slabs`, `bands`, `band_ends` and `dome_follow_m`.
     pub proxies: ProxySettings,
+    /// What viewers are shown on their way from one view cell to another.
+    pub transitions: Transitions,
     /// Where noise volumes are kept between runs.
     pub noise_cache_dir: PathBuf,
     /// Where the files of voxels lie that scenes name: `grids` in the folder of the state.
@@ -174,6 +176,17 @@ pub enum FrameFilter {
     CatmullRom,
     /// Soft, 4 texels.
     Bilinear,
+}
+
+/// What viewers are shown on their way from one view cell to another.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Transitions {
+    /// A mix of both cells' pictures.
+    #[default]
+    Fade,
+    /// Rays of the viewer's own, whose start moves from the old cell's reference to the new one's (Weinrauch et al. 2023, 3.3.1).
+    OwnRays,
 }
 
 /// A view cell placed by hand: section `[[cells]]`.
@@ -208,6 +221,7 @@ impl RenderConfig {
             parallax_steps: None,
             samples_by_area: None,
             proxies: ProxySettings::default(),
+            transitions: Transitions::default(),
             grids_dir: noise_cache_dir.join("grids"),
             maps_dir: noise_cache_dir.join("maps"),
             noise_cache_dir,
@@ -233,9 +247,10 @@ impl RenderConfig {
             "bands",
             "band_ends",
             "dome_follow_m",
+            "transitions",
             "noise_cache_dir",
         ])?;
-        Ok(Self {
+        let read = Self {
             mip_bias: match members.optional::<f64>("mip_bias")? {
                 Some(bias) => Some(MIP_BIAS.check(&members.pointer_of("mip_bias"), bias)? as f32),
                 None => default.mip_bias,
@@ -282,12 +297,30 @@ impl RenderConfig {
                 None => default.parallax_steps,
             },
             proxies: read_proxies(&members, default.proxies)?,
+            transitions: members.member_or("transitions", default.transitions)?,
             noise_cache_dir: members
                 .optional::<String>("noise_cache_dir")?
                 .map_or(default.noise_cache_dir, PathBuf::from),
             grids_dir: default.grids_dir,
             maps_dir: default.maps_dir,
-        })
+        };
+        read.check_transitions(&members)?;
+        Ok(read)
+    }
+
+    /// Own rays begin and end where caches show what rays from their references through one sphere of each layer show.
+    fn check_transitions(&self, members: &ObjectReader<'_>) -> Result<(), ValueError> {
+        let is_plain = self.parallax_steps == Some(0)
+            && self.proxies.setup == ProxySetup::InLayer
+            && self.proxies.slabs == 1;
+        if self.transitions == Transitions::Fade || is_plain {
+            return Ok(());
+        }
+        Err(ValueError::new(
+            members.pointer_of("transitions"),
+            &Value::from("own-rays"),
+            "\"fade\"; \"own-rays\" with parallax_steps = 0, slabs = 1 and proxies = \"in-layer\" alone",
+        ))
     }
 }
 
@@ -325,6 +358,13 @@ impl ReadJson for ProxySetup {
 impl ReadJson for BandEnds {
     fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
         read_name(value, pointer, &[("gaps", Self::Gaps), ("cut", Self::Cut)])
+    }
+}
+
+impl ReadJson for Transitions {
+    fn read_json(value: &Value, pointer: &str) -> Result<Self, ValueError> {
+        let names = [("fade", Self::Fade), ("own-rays", Self::OwnRays)];
+        read_name(value, pointer, &names)
     }
 }
 

@@ -71,6 +71,7 @@ const KEYS: &[(&str, Kind)] = &[
     ("render/bands", Kind::Number),
     ("render/band_ends", Kind::Text),
     ("render/dome_follow_m", Kind::Number),
+    ("render/transitions", Kind::Text),
     ("render/noise_cache_dir", Kind::Text),
 ];
 

@@ -109,6 +109,27 @@ fn a_bad_value_is_told_with_its_source_and_what_is_allowed() {
             ["file ", "/render/slabs is 2; allowed: 1 with static-dome"],
         ),
         (
+            "[render]\ntransitions = 'own-rays'",
+            vec![],
+            [
+                "file ",
+                "/render/transitions is \"own-rays\"; allowed: \"fade\"; \"own-rays\" with parallax_steps = 0",
+            ],
+        ),
+        (
+            "[render]\ntransitions = 'own-rays'\nparallax_steps = 0\nslabs = 2",
+            vec![],
+            ["file ", "slabs = 1 and proxies = \"in-layer\" alone"],
+        ),
+        (
+            "[render]\ntransitions = 'jump'",
+            vec![],
+            [
+                "file ",
+                "/render/transitions is \"jump\"; allowed: \"fade\"",
+            ],
+        ),
+        (
             "[render]\nbands = 5",
             vec![],
             ["file ", "/render/bands is 5; allowed: 2 to 4"],

@@ -13,6 +13,7 @@ use skycell_protocol::{
 };
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
+use std::time::Instant;
 
 /// Frames a second, in all that is compared.
 pub(super) const FPS: f64 = 10.0;
@@ -117,9 +118,27 @@ impl Driven {
         let renderer = &mut self.renderer;
         renderer.advance_time(passed_s);
         renderer.regroup(passed_s);
+        renderer.pass_renderer_fades(passed_s);
         renderer.pass_transitions(passed_s);
         renderer.refresh_cells();
+        renderer.finish_approaches(Instant::now());
         renderer.gpu.wait().expect("a device");
+        self.march_ways();
+    }
+
+    /// Marches a frame of rays for each viewer on its way to another cell that has such.
+    fn march_ways(&mut self) {
+        let renderer = &mut self.renderer;
+        let viewers = renderer.viewers.iter();
+        let on_their_way: Vec<ViewerId> = viewers
+            .filter(|(_, viewer)| viewer.marches_on_its_way())
+            .map(|(id, _)| *id)
+            .collect();
+        for id in on_their_way {
+            while !renderer.march_screen_space(id, u64::MAX >> 20) {
+                renderer.gpu.wait().expect("a device");
+            }
+        }
     }
 
     pub(super) fn show(&mut self, viewer: ViewerId) -> RgbImage {

@@ -507,6 +507,8 @@ pub struct TransitionStats {
     pub viewers: u64,
     /// Those of them whose frames are a mix of both cells' pictures; the others are shown the old one.
     pub fading: u64,
+    /// Those of them whose frames are made by rays of their own.
+    pub own_rays: u64,
     /// Cells without members whose caches are kept for them.
     pub cells_kept: u64,
     /// GPU memory of their second pictures.

@@ -7,6 +7,7 @@ use super::interface::{
 };
 use super::refining::Refining;
 use super::renderer::SkyRenderer;
+use super::screen_space::ScreenSpaceJob;
 use super::viewers_on_device::ActiveViewer;
 use crate::clock;
 use crate::config::{PlacedCell, RenderConfig};
@@ -301,7 +302,7 @@ impl FrameLoop {
     fn refine(&mut self, id: ViewerId, now: Instant) {
         let is_marching = self.renderer.screen_space_pending(id);
         let of_own = self.renderer.viewers.get(&id);
-        let has_own_rays = of_own.is_some_and(|viewer| self.renderer.marches_pixels(viewer));
+        let has_own_rays = of_own.is_some_and(|viewer| self.renderer.shows_pixels(viewer));
         let (Some(pace), Some(viewer)) =
             (self.paces.get_mut(&id), self.renderer.viewers.get_mut(&id))
         else {
@@ -539,7 +540,7 @@ impl FrameLoop {
     /// Whether a viewer's frames come at their time. What is marched for it alone is composited when a sample is complete; then
     /// only what it shares, or a mix of two pictures, can be new.
     fn is_on_schedule(&self, id: ViewerId, viewer: &ActiveViewer, pace: &Pace) -> bool {
-        if !self.renderer.marches_pixels(viewer) {
+        if !self.renderer.shows_pixels(viewer) {
             return true;
         }
         let shares = viewer.kind == RendererKind::Cached && pace.change == Change::Sharper;
@@ -618,7 +619,7 @@ impl FrameLoop {
             pace.composited = Some(now);
             pace.refining.made(Refinement::None);
             // Two cells that are mixed are another picture in every frame.
-            pace.change = if viewer.fades() {
+            pace.change = if viewer.fades() || viewer.shows_rays_on_its_way() {
                 Change::Seen
             } else {
                 Change::None
@@ -782,6 +783,7 @@ impl FrameLoop {
 
     /// One strip for a viewer with rays of its own that lacks samples; a complete sample becomes a frame.
     fn march_screen_space(&mut self, budget: Duration) -> bool {
+        let now = Instant::now();
         let mut ids: Vec<ViewerId> = self
             .renderer
             .viewers
@@ -792,16 +794,18 @@ impl FrameLoop {
         // Whoever has waited longest: one that moves all the time has always something to march.
         ids.sort_by_key(|id| self.paces.get(id).and_then(|pace| pace.composited));
         for id in ids {
-            let room = self
-                .renderer
-                .viewers
-                .get(&id)
-                .is_some_and(|viewer| self.has_room(viewer));
+            let of_id = self.renderer.viewers.get(&id);
+            let room = of_id.is_some_and(|viewer| self.has_room(viewer));
             let seen = self
                 .paces
                 .get(&id)
                 .is_some_and(|pace| pace.change == Change::Seen);
-            if seen && room && self.renderer.screen_space_is_shown(id) {
+            let is_on_its_way = of_id.is_some_and(ActiveViewer::marches_on_its_way);
+            let shows_rays = of_id.is_some_and(|viewer| self.renderer.shows_pixels(viewer));
+            if is_on_its_way && shows_rays && self.waits_for_its_time(id, now) {
+                continue;
+            }
+            if seen && room && !is_on_its_way && self.renderer.screen_space_is_shown(id) {
                 // Moved since: the picture under way has been shown, the next one starts from the new view.
                 self.renderer.restart_screen_space(id);
                 if let Some(pace) = self.paces.get_mut(&id) {
@@ -815,9 +819,13 @@ impl FrameLoop {
                 if self
                     .renderer
                     .march_screen_space(id, budget.as_nanos() as u64)
+                    && shows_rays
                 {
                     let now = Instant::now();
                     for viewer in self.renderer.composite(&[id], &self.sink) {
+                        if is_on_its_way {
+                            self.composited(viewer, now);
+                        }
                         if let Some(pace) = self.paces.get_mut(&viewer) {
                             pace.composited = Some(now);
                             pace.refining.made(Refinement::None);
@@ -828,6 +836,14 @@ impl FrameLoop {
             }
         }
         false
+    }
+
+    /// Whether a viewer's next frame of rays is not to be begun yet: on the way to another cell each is another picture.
+    fn waits_for_its_time(&self, id: ViewerId, now: Instant) -> bool {
+        let viewer = self.renderer.viewers.get(&id);
+        let job = viewer.and_then(|viewer| viewer.screen_space.as_ref());
+        let is_due = self.paces.get(&id).is_none_or(|pace| pace.due <= now);
+        job.is_some_and(ScreenSpaceJob::begins) && !is_due
     }
 
     fn publish(&mut self, now: Instant, idle: bool) {

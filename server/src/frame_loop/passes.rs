@@ -176,7 +176,7 @@ impl SkyRenderer {
             };
             // With rays of its own a viewer is shown what it saw when they were marched.
             let asked = viewer.view.camera;
-            let marched_from = (self.marches_pixels(&viewer))
+            let marched_from = (self.shows_pixels(&viewer))
                 .then(|| viewer.screen_space.as_ref()?.shown_from())
                 .flatten();
             viewer.view.camera = marched_from.unwrap_or(asked);
@@ -339,7 +339,8 @@ impl SkyRenderer {
         let left = viewer
             .transition
             .as_ref()
-            .filter(|_| !shown.is_inspection() && !shown.is_of_cache());
+            .filter(|_| !shown.is_inspection() && !shown.is_of_cache())
+            .filter(|left| !left.shows_rays());
         let old = left.and_then(|left| {
             let picture = left.fade.as_ref().map_or(&viewer.picture, PictureFade::old);
             let (cell, requests) = (left.from, left.requests.as_slice());

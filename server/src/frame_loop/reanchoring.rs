@@ -8,7 +8,7 @@ mod tests;
 
 use super::cells_on_device::ActiveCell;
 use super::renderer::SkyRenderer;
-use super::transitions::NEW_ANCHORS_RAD;
+use super::transitions::{LeftBehind, NEW_ANCHORS_RAD};
 use crate::cache::{
     ProxySphere, SphereCache, SphereId, TileKey, TileUpdate, octahedral_from_direction,
     texel_solid_angle_sr,
@@ -88,6 +88,15 @@ impl Readdressed {
     }
 }
 
+/// Those who look at a cell that gets new anchors, while its reference goes from one place to another.
+fn at_new_anchors(references_m: [DVec3; 2], has_jumped: bool) -> LeftBehind {
+    LeftBehind {
+        apart_rad: NEW_ANCHORS_RAD,
+        has_jumped,
+        references_m,
+    }
+}
+
 impl SkyRenderer {
     /// Gives a cell new anchors at its reference. Who looks at it sees it about the old ones first, and then goes on to the new
     /// ones. Where there is nothing that is worth keeping, its caches start anew.
@@ -97,7 +106,11 @@ impl SkyRenderer {
                 .active_cells
                 .get(&id)
                 .is_some_and(|cell| self.is_a_jump(cell.came_from_m, cell.reference_m));
-            if !self.leave_behind(id, NEW_ANCHORS_RAD, has_jumped) {
+            let references_m = self.active_cells.get(&id).map_or([DVec3::ZERO; 2], |cell| {
+                [cell.came_from_m, cell.reference_m]
+            });
+            let left = at_new_anchors(references_m, has_jumped);
+            if !self.leave_behind(id, &left) {
                 self.restart_cell(id);
             }
             return;
@@ -117,7 +130,7 @@ impl SkyRenderer {
         let stand_in = if self.kept_on.follows() {
             None
         } else {
-            self.keep_for_viewers(id, NEW_ANCHORS_RAD, false)
+            self.keep_for_viewers(id, &at_new_anchors([old.reference_m; 2], false))
         };
         self.show_all_marched(id, &mut old);
         let proxies = 0..self.proxies.len() as u32;
@@ -157,8 +170,8 @@ impl SkyRenderer {
 
     /// A cell goes so fast with all who are in it that nothing of what it holds can be resampled: they go on seeing that until
     /// there is something at its new place, or after a jump, as from where they were, until there is a coarse sky. So no
-    /// frame waits, and none is without clouds. The references are `apart_rad` apart. False where it has nothing to show, or nobody looks.
-    pub(super) fn leave_behind(&mut self, id: CellId, apart_rad: f64, has_jumped: bool) -> bool {
+    /// frame waits, and none is without clouds. False where it has nothing to show, or nobody looks.
+    pub(super) fn leave_behind(&mut self, id: CellId, left: &LeftBehind) -> bool {
         let mut proxies = 0..self.proxies.len() as u32;
         let is_shown = !self.proxies.is_empty()
             && proxies.all(|proxy| {
@@ -171,7 +184,7 @@ impl SkyRenderer {
         let Some(mut old) = self.active_cells.remove(&id) else {
             return false;
         };
-        let Some(stand_in) = self.keep_for_viewers(id, apart_rad, has_jumped) else {
+        let Some(stand_in) = self.keep_for_viewers(id, left) else {
             self.active_cells.insert(id, old);
             return false;
         };

@@ -22,7 +22,7 @@ use crate::composite::{
     Inspections, Mix, Picture, PictureFade, clouds_key, composite_key, fade_key, ground_key,
     with_parallax, with_shared_background,
 };
-use crate::config::{FrameFilter, PlacedCell, RenderConfig};
+use crate::config::{FrameFilter, PlacedCell, RenderConfig, Transitions};
 use crate::field::FieldStore;
 use crate::gpu::{
     BlendStep, DeviceInventory, FieldTextures, Gpu, GpuError, PipelineKey, Pipelines, TimingRing,
@@ -373,6 +373,12 @@ impl SkyRenderer {
                             window_key(features)
                         }
                     });
+                    if self.config.transitions == Transitions::OwnRays && self.has_windows() {
+                        keys.push(window_key(Features {
+                            moved_start: true,
+                            ..features
+                        }));
+                    }
                 }
                 keys.extend(volume.map(sun_columns_key));
                 keys.extend(has_shafts.then(|| cloud_shadows_key(cone)));

@@ -35,7 +35,7 @@ impl SkyRenderer {
         let bytes = PictureFade::bytes_of(viewer.view.picture_size(), viewer.picture.format());
         let hidden = self.hidden_between(&viewer.shown_camera, &viewer.view.camera);
         let is_seen = viewer.frames_composited > 0
-            && viewer.transition.is_none()
+            && (viewer.transition.is_none() || viewer.shows_rays_on_its_way())
             && hidden < 1.0
             && !viewer.view.linear;
         if !is_seen || self.fade_bytes() + bytes > PICTURES_BYTES_MAX {
@@ -80,8 +80,8 @@ impl SkyRenderer {
                 if viewer.frames_composited > way.frames {
                     way.share += passed_s.min(FRAME_MAX_S) / RENDERER_FADE_S;
                 }
-                let stays =
-                    viewer.transition.is_none() && viewer.picture.eyes() == way.fade.old().eyes();
+                let is_alone = viewer.transition.is_none() || viewer.shows_rays_on_its_way();
+                let stays = is_alone && viewer.picture.eyes() == way.fade.old().eyes();
                 viewer.renderer_fade = Some(way).filter(|way| stays && way.share < 1.0);
             }
             self.viewers.insert(*id, viewer);

@@ -12,7 +12,7 @@ use crate::march::{
 };
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, ViewerId};
-use skycell_shaders::layout;
+use skycell_shaders::{Features, layout};
 
 /// How screen-space pictures come about.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,6 +65,8 @@ pub(super) struct ScreenSpaceJob {
     next_camera: Camera,
     /// Whether there is something to show.
     is_shown: bool,
+    /// Whether its rays start beside the eye.
+    has_moved_start: bool,
     /// Whole samples, or frames, since the view or the scene changed.
     sample: u32,
     eye: usize,
@@ -95,6 +97,7 @@ impl ScreenSpaceJob {
             camera,
             next_camera: camera,
             is_shown: false,
+            has_moved_start: false,
             sample: 0,
             eye: 0,
             layer: 0,
@@ -117,6 +120,20 @@ impl ScreenSpaceJob {
         self.is_shown.then_some(self.camera)
     }
 
+    /// Whether all frames of its window are there, in each eye.
+    pub(super) fn is_full(&self) -> bool {
+        let is_full = |eye: &EyeJob| {
+            let own = eye.window.as_ref();
+            own.is_none_or(|own| own.window.filled() == own.window.plan().frames)
+        };
+        self.is_shown && self.eyes.iter().all(is_full)
+    }
+
+    /// Whether the next strip is the first one of a frame.
+    pub(super) fn begins(&self) -> bool {
+        [self.eye, self.layer] == [0; 2] && self.row == 0
+    }
+
     fn window(&self) -> Option<&JobWindow> {
         self.eyes.first()?.window.as_ref()
     }
@@ -127,9 +144,16 @@ impl ScreenSpaceJob {
             .map_or(samples, |own| own.window.plan().frames)
     }
 
+    /// Where rays start beside the eye, each frame has a view of its own, and there is no last one.
+    fn follow(&mut self, camera: Camera, views: &[layout::View]) {
+        self.look(camera, views);
+        self.has_moved_start = true;
+    }
+
     /// What the next frame shows, if something else than before. What is under way is given up.
     fn look(&mut self, camera: Camera, views: &[layout::View]) {
         self.next_camera = camera;
+        self.has_moved_start = false;
         for (eye, view) in self.eyes.iter_mut().zip(views) {
             eye.next_view = *view;
         }
@@ -146,7 +170,8 @@ impl SkyRenderer {
         self.viewers.get(&id).is_some_and(|viewer| {
             self.marches_pixels(viewer)
                 && viewer.screen_space.as_ref().is_none_or(|job| {
-                    job.sample < job.samples_wanted(viewer.quality.settings.samples)
+                    viewer.marches_on_its_way()
+                        || job.sample < job.samples_wanted(viewer.quality.settings.samples)
                 })
         })
     }
@@ -204,6 +229,11 @@ impl SkyRenderer {
         Some((viewer.cell, cell.frame))
     }
 
+    /// Whether all frames of rays are summed up from a window.
+    pub(super) fn has_windows(&self) -> bool {
+        !matches!(self.window_choice, WindowChoice::Fixed(None))
+    }
+
     /// The window of a viewer's pictures, if they have one.
     fn window_plan(&self, viewer: &ActiveViewer) -> Option<WindowPlan> {
         match self.window_choice {
@@ -250,6 +280,15 @@ impl SkyRenderer {
         }
         if viewer.screen_space.is_none() {
             viewer.screen_space = self.new_job(&viewer);
+        }
+        if viewer.marches_on_its_way() {
+            let views = self.views_of(&viewer);
+            let camera = viewer.view.camera;
+            if let (Some(job), Some(views)) = (&mut viewer.screen_space, views)
+                && job.begins()
+            {
+                job.follow(camera, &views);
+            }
         }
         let mut complete = false;
         let samples = viewer.quality.settings.samples;
@@ -307,7 +346,10 @@ impl SkyRenderer {
             return false;
         };
         let scene_index = active.scene_index;
-        let features = layer_features(&self.scene, scene_index, &self.cell_settings(cell));
+        let features = Features {
+            moved_start: job.has_moved_start,
+            ..layer_features(&self.scene, scene_index, &self.cell_settings(cell))
+        };
         let mut view = eye.next_view;
         view.jitter = f32::from(u8::from(self.settings.jitter));
         view.first_row = job.row;

@@ -89,8 +89,13 @@ impl SkyRenderer {
     }
 
     /// Whether rays of a viewer's own are part of its frames.
-    pub(super) fn marches_pixels(&self, viewer: &ActiveViewer) -> bool {
+    pub(super) fn shows_pixels(&self, viewer: &ActiveViewer) -> bool {
         viewer.kind == RendererKind::ScreenSpace || self.marches_near(viewer)
+    }
+
+    /// Whether rays of a viewer's own are marched: for its frames, or for those of its way to another cell that are about to come.
+    pub(super) fn marches_pixels(&self, viewer: &ActiveViewer) -> bool {
+        self.shows_pixels(viewer) || viewer.marches_on_its_way()
     }
 
     /// The layers, among the active ones, that rays of a viewer's own go through.
@@ -98,6 +103,7 @@ impl SkyRenderer {
         let layers = 0..self.active.len() as u32;
         let cell = self.active_cells.get(&viewer.cell);
         match (viewer.kind, cell) {
+            _ if viewer.marches_on_its_way() => layers.collect(),
             (RendererKind::Cached, Some(cell)) => {
                 let near = self.near_layers_of(cell);
                 layers.filter(|layer| (near >> layer) & 1 == 1).collect()

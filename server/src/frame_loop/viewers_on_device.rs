@@ -75,6 +75,10 @@ impl ActiveViewer {
     pub(super) fn renderer_note(&self) -> Option<&'static str> {
         if self.kind == self.view.renderer {
             None
+        } else if self.shows_rays_on_its_way() {
+            Some(
+                "the viewer is on its way from one view cell to another; rays of its own make its frames until then",
+            )
         } else if self.approaches.is_some() {
             Some(
                 "the cache is being made for this viewer; rays of its own make its frames until then",
@@ -232,7 +236,9 @@ impl SkyRenderer {
                 viewer.approaches.is_some_and(|since| {
                     let has_requests = viewer.requests.len() == self.proxies.len();
                     let is_late = now.duration_since(since) > APPROACH_MAX;
+                    let transition = viewer.transition.as_ref();
                     has_requests
+                        && transition.is_none_or(Transition::has_arrived)
                         && self.is_reached(viewer.cell, viewer.view.camera.position_m())
                         && self.is_there_to_stay(viewer, since, now)
                         && self.can_be_shown(&viewer.view)
@@ -247,6 +253,7 @@ impl SkyRenderer {
             if let Some(viewer) = self.viewers.get_mut(id) {
                 viewer.kind = RendererKind::Cached;
                 viewer.approaches = None;
+                viewer.transition = None;
                 viewer.screen_space = None;
                 viewer.renderer_fade = fade;
             }
@@ -339,6 +346,9 @@ impl SkyRenderer {
         let frustum = view_frustum(eye, viewer.view.size, &cell.frame);
         let mut view = view_uniform(&frustum, &cell.frame, viewer.view.size);
         view.dither_shift = dither_shift(viewer.codec_of_frame());
+        if let Some(start_m) = self.rays_start_m(viewer) {
+            view.start = cell.frame.from_world(start_m).as_vec3().to_array();
+        }
         let domes = self.kept_on.has_domes();
         if viewer.kind == RendererKind::Cached {
             self.set_near(&mut view, cell);

@@ -53,6 +53,8 @@ impl WindowPlan {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Slice {
     position: [f32; 3],
+    /// Where its rays started, if that is not the eye.
+    start: [f32; 3],
     forward: [f32; 3],
     right: [f32; 3],
     up: [f32; 3],
@@ -64,6 +66,7 @@ impl Slice {
     fn of(view: &layout::View, drifts: &[DVec3]) -> Self {
         let mut slice = Self {
             position: view.position,
+            start: view.start,
             forward: view.forward,
             right: view.right,
             up: view.up,
@@ -191,6 +194,7 @@ impl TemporalWindow {
             shown.forward = slice.forward;
             shown.across = over_its_square(slice.right);
             shown.upward = over_its_square(slice.up);
+            shown.start_moved_m = Vec3::from(slice.start).distance(Vec3::from(now.start));
             for layer in 0..LAYERS_MAX {
                 let moved = now.drifts[layer] - slice.drifts[layer];
                 let pair = &mut shown.drift[layer / 2];

@@ -54,6 +54,9 @@ struct View {
     near_layers: u32,
     /// ... from here.
     reach_from: vec3f,
+    pad_reach: f32,
+    /// Where rays start instead of the eye, to go through what it sees on proxy surfaces (screen-space renderer).
+    start: vec3f,
     pad_end: f32,
 }
 

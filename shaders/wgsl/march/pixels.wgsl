@@ -2,6 +2,9 @@
 #import skycell::march::{scene, march_layer, whole, sample_offset, sample_start_fraction, LayerRadiance}
 #import skycell::scene::Part
 #import skycell::surface::dome_distance_m
+#ifdef MOVED_START
+#import skycell::surface::surface_point
+#endif
 #import skycell::view::{View, ListedRay, pixel_direction}
 #ifdef RAY_LIST
 #import skycell::march::{steps_taken, optical_depth_seen}
@@ -49,6 +52,23 @@ fn marched_part(eye: View, origin: vec3f, direction: vec3f) -> Part {
     return part;
 }
 
+/// A ray that is marched.
+struct MarchedRay {
+    origin: vec3f,
+    direction: vec3f,
+}
+
+/// The ray for what an eye sees in a direction.
+fn marched_ray(eye: View, direction: vec3f) -> MarchedRay {
+#ifdef MOVED_START
+    // As a texel's: from where rays start through the place of the proxy's surface that the eye looks at.
+    let seen = surface_point(scene.planet.radius_m, scene.proxies[eye.layer], eye.position, eye.altitude_m, direction);
+    return MarchedRay(eye.start, normalize(seen - eye.start));
+#else
+    return MarchedRay(eye.position, direction);
+#endif
+}
+
 #ifdef COUNT_READS
 fn count() {
     let reads_before = atomicAdd(&read_counter[0], texture_reads);
@@ -74,8 +94,8 @@ fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
     let at = ((view.place * window.frames + newest) * size.y + texel.y) * size.x + texel.x;
     if texel.x >= size.x || texel.y >= size.y { return; }
     let moved = shifted(place, blue_noise_shift(blue_noise[blue_noise_index(pixel)]));
-    let direction = pixel_direction(view, pixel + 0.5 + spread * (moved.xy - 0.5));
-    ring[at] = packed(march_layer(view.layer, marched_part(view, view.position, direction), view.position, direction, moved.z));
+    let ray = marched_ray(view, pixel_direction(view, pixel + 0.5 + spread * (moved.xy - 0.5)));
+    ring[at] = packed(march_layer(view.layer, marched_part(view, ray.origin, ray.direction), ray.origin, ray.direction, moved.z));
 #ifdef COUNT_READS
     count();
 #endif
@@ -93,8 +113,9 @@ fn march_pixels(@builtin(global_invocation_id) id: vec3u) {
     let origin = ray.origin + offset.x * view.right - offset.y * view.up;
     let direction = ray.direction;
 #else
-    let origin = view.position;
-    let direction = pixel_direction(view, vec2f(pixel) + 0.5 + offset);
+    let ray = marched_ray(view, pixel_direction(view, vec2f(pixel) + 0.5 + offset));
+    let origin = ray.origin;
+    let direction = ray.direction;
 #endif
     // Without jitter every sample stands in the middle of its step.
     let start = mix(0.5, sample_start_fraction(vec2f(pixel), view.sample_index), view.jitter);

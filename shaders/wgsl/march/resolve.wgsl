@@ -86,7 +86,7 @@ fn tapped(sum: Sum, slice: WindowSlice, pixel: Pixel, first: u32) -> Sum {
     let texel = clamp(vec2i(floor((at - 0.5 - slice.pixel) / pixel.divisor + 0.5)), vec2i(0), pixel.marched_size - 1);
     // Samples count as the middles of their pixels: where they are in them is lost in a pixel's mean anyway.
     let offset = at - (vec2f(texel) * pixel.divisor + slice.pixel + 0.5);
-    let parallax = parallax_weight(length(moved), pixel.distance_m);
+    let parallax = parallax_weight(length(moved) + slice.start_moved_m, pixel.distance_m);
     let weight = select(0.0, slice.weight * parallax * window_weight(offset, pixel.sharpness), is_inside);
     return added(sum, unpacked(ring[first + u32(texel.y * pixel.marched_size.x + texel.x)]), weight);
 }

@@ -20,7 +20,8 @@ struct WindowSlice {
     /// 0: the slice holds nothing that can be shown.
     weight: f32,
     upward: vec3f,
-    pad_upward: f32,
+    /// How far from where the shown rays start its own did, m, where that is not the eye.
+    start_moved_m: f32,
     /// Which of a marched pixel's picture pixels has the sample, and where in it, 0...1.
     pixel: vec2f,
     within: vec2f,

@@ -5,11 +5,13 @@
 //! mix is over; when it comes to belong to the one that it left, the mix goes back the way that it came. So what is shown never
 //! jumps.
 
+mod rays;
 mod way;
 
 #[cfg(test)]
 mod tests;
 
+pub(super) use rays::OwnRays;
 pub(super) use way::{Readiness, Stage, Way};
 
 use super::interface::TransitionStats;
@@ -44,11 +46,24 @@ pub(super) struct Transition {
     pub(super) way: Way,
     /// While both are shown.
     pub(super) fade: Option<PictureFade>,
+    /// What is shown instead of both.
+    pub(super) rays: Option<OwnRays>,
     /// The camera when time last passed.
     camera: Camera,
     /// Where a viewer who has jumped stood before: from there it is shown the old cell, whose clouds would look torn from where
     /// it is now.
     seen_from_m: Option<[f64; 3]>,
+}
+
+/// What happens to those who look at a cell that becomes another.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LeftBehind {
+    /// How far apart the old and the new picture are, as an angle between references, seen from the nearest clouds.
+    pub(super) apart_rad: f64,
+    /// They have jumped with it.
+    pub(super) has_jumped: bool,
+    /// Where rays started, and will start.
+    pub(super) references_m: [DVec3; 2],
 }
 
 impl Transition {
@@ -66,6 +81,7 @@ impl ActiveViewer {
         match &self.transition {
             None => self.cell == cell,
             Some(transition) if transition.way.stage() == Stage::Waits => transition.from == cell,
+            Some(transition) if transition.rays.is_some() => self.cell == cell,
             Some(transition) => transition.from == cell || self.cell == cell,
         }
     }
@@ -73,19 +89,15 @@ impl ActiveViewer {
     /// Whether two pictures are mixed in its frames: of two cells, or of rays and the cache.
     pub(super) fn fades(&self) -> bool {
         self.renderer_fade.is_some()
-            || self
-                .transition
-                .as_ref()
-                .is_some_and(|transition| transition.way.stage() == Stage::Fades)
+            || self.transition.as_ref().is_some_and(|transition| {
+                transition.rays.is_none() && transition.way.stage() == Stage::Fades
+            })
     }
 
     /// Whether it needs a cell, which may have no members any more.
     pub(super) fn needs(&self, cell: CellId) -> bool {
-        self.cell == cell
-            || self
-                .transition
-                .as_ref()
-                .is_some_and(|transition| transition.from == cell)
+        let leaves = |transition: &Transition| transition.from == cell && !transition.shows_rays();
+        self.cell == cell || self.transition.as_ref().is_some_and(leaves)
     }
 
     /// What it looks at in a cell whose cache it reads, to be filled in. Empty ones are out of date.
@@ -95,7 +107,7 @@ impl ActiveViewer {
         }
         self.transition
             .as_mut()
-            .filter(|transition| transition.from == cell)
+            .filter(|transition| transition.from == cell && !transition.shows_rays())
             .map(|transition| &mut transition.requests)
     }
 
@@ -160,7 +172,12 @@ impl SkyRenderer {
             return;
         };
         let left = viewer.cell;
+        let mut leads_elsewhere = false;
         if left != target {
+            if viewer.marches_on_its_way() {
+                // Its cameras are told in the frame of the cell.
+                viewer.screen_space = None;
+            }
             match viewer.transition.take() {
                 None => {
                     // From what shows nothing there is no way, and rays of its own show the same sky in all cells.
@@ -170,14 +187,22 @@ impl SkyRenderer {
                         && self.coarse_is_ready(left)
                         && self.is_reached(left, eye_m);
                     let requests = std::mem::take(&mut viewer.requests);
+                    let references_m = self.references_m(left, target);
+                    let left_behind = LeftBehind {
+                        apart_rad: self.apart_rad_of(references_m[0], references_m[1]),
+                        has_jumped: false,
+                        references_m,
+                    };
+                    let (rays, way) = self.begun_way(&left_behind, viewer.may_have_rays());
                     // Two pictures of linear radiance are not mixed.
                     if is_shown && in_transition < VIEWERS_MAX && !viewer.view.linear {
                         self.counters.transitions.begun += 1;
                         viewer.transition = Some(Transition {
                             from: left,
                             requests,
-                            way: Way::new(self.apart_rad(left, target)),
+                            way,
                             fade: None,
+                            rays,
                             camera: viewer.shown_camera,
                             seen_from_m: None,
                         });
@@ -186,6 +211,20 @@ impl SkyRenderer {
                     }
                     viewer.cell = target;
                     viewer.screen_space = None;
+                }
+                Some(transition) if transition.shows_rays() => {
+                    // From where they start by now.
+                    let to_m = self.references_m(left, target)[1];
+                    let from_m = transition.start_m(self.references_m(left, left)[0]);
+                    viewer.cell = target;
+                    viewer.requests.clear();
+                    leads_elsewhere = true;
+                    viewer.transition = Some(Transition {
+                        from: left,
+                        way: self.way_of_rays([from_m, to_m]).shown(),
+                        rays: Some(OwnRays { from_m }),
+                        ..transition
+                    });
                 }
                 Some(mut transition) if transition.fade.is_some() => {
                     if transition.from == target {
@@ -201,7 +240,11 @@ impl SkyRenderer {
                     viewer.cell = target;
                     viewer.requests = transition.requests;
                 }
-                Some(transition) => {
+                Some(mut transition) => {
+                    if let Some(rays) = transition.rays {
+                        let to_m = self.references_m(left, target)[1];
+                        transition.way = self.way_of_rays([rays.from_m, to_m]);
+                    }
                     viewer.cell = target;
                     viewer.requests.clear();
                     viewer.transition = Some(transition);
@@ -210,6 +253,13 @@ impl SkyRenderer {
         }
         let to = viewer.cell;
         self.viewers.insert(id, viewer);
+        if leads_elsewhere {
+            // A new window has few samples at first.
+            let fade = self.renderer_fade(id);
+            if let Some(viewer) = self.viewers.get_mut(&id) {
+                viewer.renderer_fade = fade;
+            }
+        }
         self.change_requests(left);
         self.change_requests(to);
     }
@@ -233,15 +283,22 @@ impl SkyRenderer {
             .map_or(id, |(shown, _)| shown)
     }
 
+    /// The way of those who leave a cell, as they see it: by rays of their own, where they may have such.
+    fn begun_way(&self, left: &LeftBehind, may_have_rays: bool) -> (Option<OwnRays>, Way) {
+        let rays = self.own_rays_between(left).filter(|_| may_have_rays);
+        let way = match rays {
+            Some(_) => self.way_of_rays(left.references_m),
+            None if left.has_jumped => Way::of_a_jump(left.apart_rad),
+            None => Way::new(left.apart_rad),
+        };
+        (rays, way)
+    }
+
     /// Lets those who look at a cell go on seeing it under another number, which is returned, while the cell itself becomes
-    /// another, and then go on to that, whose reference is so far away. None where nobody does. If they have jumped with it, they see
-    /// it from where they stood.
-    pub(super) fn keep_for_viewers(
-        &mut self,
-        id: CellId,
-        apart_rad: f64,
-        has_jumped: bool,
-    ) -> Option<CellId> {
+    /// another, and then go on to that. None where nobody does. If they have jumped with it, they see it from where they stood.
+    pub(super) fn keep_for_viewers(&mut self, id: CellId, left: &LeftBehind) -> Option<CellId> {
+        let has_jumped = left.has_jumped;
+        let ways = [false, true].map(|may_have_rays| self.begun_way(left, may_have_rays));
         let mut room = VIEWERS_MAX.saturating_sub(self.viewers_in_transition());
         // Far from those of cells, which are counted up.
         let stand_in = CellId(u32::MAX - self.counters.transitions.stand_ins);
@@ -257,15 +314,13 @@ impl SkyRenderer {
                 None if is_in && room > 0 => {
                     room -= 1;
                     let stood_m = viewer.shown_camera.position_m();
+                    let (rays, way) = ways[usize::from(viewer.may_have_rays())];
                     viewer.transition = Some(Transition {
                         from: stand_in,
                         requests: std::mem::take(&mut viewer.requests),
-                        way: if has_jumped {
-                            Way::of_a_jump(apart_rad)
-                        } else {
-                            Way::new(apart_rad)
-                        },
+                        way,
                         fade: None,
+                        rays,
                         camera: viewer.shown_camera,
                         seen_from_m: has_jumped.then_some(stood_m),
                     });
@@ -307,7 +362,13 @@ impl SkyRenderer {
                 changed.push(id);
             }
             let ends = viewer.transition.is_none();
+            let begins_rays = viewer.shows_rays_on_its_way() && viewer.kind == RendererKind::Cached;
             self.viewers.insert(id, viewer);
+            if begins_rays {
+                self.show_rays(id);
+                // Nobody needs what it left.
+                has_ended = true;
+            }
             if ends {
                 has_ended = true;
                 // It may belong to another cell by now.
@@ -325,11 +386,21 @@ impl SkyRenderer {
             return;
         };
         let eye_m = viewer.view.camera.position_m();
+        let camera = viewer.view.camera;
+        let motion = self.motion_between(&transition.camera, &camera);
+        if transition.rays.is_some() {
+            transition.camera = camera;
+            if self.pass_rays(viewer, &mut transition, passed_s, motion) {
+                viewer.transition = Some(transition);
+            } else {
+                let gives_up = transition.way.stage() == Stage::GivenUp;
+                self.counters.transitions.swapped += u64::from(gives_up);
+            }
+            return;
+        }
         if viewer.kind != RendererKind::Cached || !self.is_reached(transition.from, eye_m) {
             return;
         }
-        let camera = viewer.view.camera;
-        let motion = self.motion_between(&transition.camera, &camera);
         let stood_m = transition.camera.position_m();
         transition.camera = camera;
         let was_jump = transition.way.has_jumped();
@@ -380,16 +451,14 @@ impl SkyRenderer {
             .max(HEIGHT_MIN_M)
     }
 
-    /// Angle between the references of two cells, seen from the nearest clouds.
-    fn apart_rad(&self, a: CellId, b: CellId) -> f64 {
+    /// The references of two cells. Of one that is no more, the other's.
+    fn references_m(&self, a: CellId, b: CellId) -> [DVec3; 2] {
         let reference_m = |id: CellId| {
             let on_device = self.active_cells.get(&id).map(|cell| cell.reference_m);
             on_device.or_else(|| self.cells.get(id).map(|cell| cell.reference_m))
         };
-        match (reference_m(a), reference_m(b)) {
-            (Some(a), Some(b)) => self.apart_rad_of(a, b),
-            _ => 0.0,
-        }
+        let (a_m, b_m) = (reference_m(a), reference_m(b));
+        [a_m.or(b_m), b_m.or(a_m)].map(Option::unwrap_or_default)
     }
 
     /// Angle between two places, seen from the nearest clouds.
@@ -449,7 +518,14 @@ impl SkyRenderer {
             return false;
         }
         self.move_reference(id, stood_m, reference_m);
-        let is_left = self.leave_behind(id, apart_rad, false);
+        let is_left = self.leave_behind(
+            id,
+            &LeftBehind {
+                apart_rad,
+                has_jumped: false,
+                references_m: [stood_m, reference_m],
+            },
+        );
         if !is_left {
             self.move_reference(id, stood_m, stood_m);
         }
@@ -469,9 +545,12 @@ impl SkyRenderer {
         for id in ids {
             let target = self.cells.cell_of(id);
             if let Some(viewer) = self.viewers.get_mut(&id)
-                && viewer.transition.take().is_some()
+                && let Some(ended) = viewer.transition.take()
                 && let Some(target) = target
             {
+                if ended.rays.is_some() {
+                    viewer.screen_space = None;
+                }
                 viewer.cell = target;
                 viewer.requests.clear();
                 self.change_requests(target);
@@ -499,6 +578,9 @@ impl SkyRenderer {
         TransitionStats {
             viewers: self.viewers_in_transition() as u64,
             fading: self.viewers.values().filter(|v| v.fades()).count() as u64,
+            own_rays: (self.viewers.values())
+                .filter(|viewer| viewer.shows_rays_on_its_way())
+                .count() as u64,
             cells_kept: self.active_cells.keys().filter(|id| !belongs(id)).count() as u64,
             picture_bytes: self.fade_bytes(),
             begun: self.counters.transitions.begun,

@@ -2,25 +2,28 @@
 
 use super::*;
 use crate::cells::CellLimit;
-use crate::config::{PlacedCell, RenderConfig};
+use crate::config::PlacedCell;
 use crate::frame_loop::driven::{
     Driven, FPS, apart, camera, mean_and_most, middle, scene_of, steps, view,
 };
-use crate::frame_loop::{StillRenderer, StillSettings};
-use crate::march::MarchSettings;
 use image::RgbImage;
 use serde_json::json;
-use skycell_protocol::{Camera, FrameSize, InputSequence, RendererKind};
+use skycell_protocol::{Camera, InputSequence};
 
-const STANDING: ViewerId = ViewerId(1);
+pub(super) const STANDING: ViewerId = ViewerId(1);
 /// As long as a way takes: tiles that wind has aged are marched meanwhile.
-const WIND_FRAMES: usize = 400;
+pub(super) const WIND_FRAMES: usize = 400;
 /// A viewer who stands at the edge of the cell of a crowd whose limit is about to be less, so that it gets one of its own. The
 /// smaller the crowd, the farther the old cell's reference goes then: with one, as far as the new one's.
 fn left_behind(crowd: u32) -> Driven {
-    let mut driven = Driven::new(48, &json!({"version": 1}), &[]);
+    let driven = Driven::new(48, &json!({"version": 1}), &[]);
+    left_behind_in(driven, crowd, 2_400.0)
+}
+
+/// The same with a configuration, and so far from the crowd.
+pub(super) fn left_behind_in(mut driven: Driven, crowd: u32, away_m: f64) -> Driven {
     for id in 2..2 + crowd {
-        let there = view([16, 12], camera(2_400.0, 40.0));
+        let there = view([16, 12], camera(away_m, 40.0));
         driven.renderer.join(ViewerId(id), there);
     }
     let here = view([160, 90], camera(0.0, 40.0));
@@ -34,18 +37,20 @@ fn left_behind(crowd: u32) -> Driven {
 }
 
 /// FLIP between successive frames before and during a transition of one who stands, and from its first to its last one.
-struct Measured {
-    wind: Vec<f64>,
-    waits: Vec<f64>,
-    fades: Vec<f64>,
-    whole: f64,
+pub(super) struct Measured {
+    pub(super) wind: Vec<f64>,
+    pub(super) waits: Vec<f64>,
+    pub(super) fades: Vec<f64>,
+    pub(super) whole: f64,
     texels: u64,
     /// As many as wind alone takes of one cell in its frames.
     texels_wind: u64,
+    /// Own rays of the one who stands.
+    pub(super) rays: u64,
 }
 
-fn measured(crowd: u32) -> Measured {
-    let mut driven = left_behind(crowd);
+/// With a limit of cells that tells it from the crowd.
+pub(super) fn measured(mut driven: Driven, limit_m: f64) -> Measured {
     let first = driven.renderer.counters.tiles_updated;
     let wind: Vec<RgbImage> = (0..WIND_FRAMES)
         .map(|_| driven.frame(STANDING, 1.0 / FPS))
@@ -55,7 +60,8 @@ fn measured(crowd: u32) -> Measured {
     driven
         .renderer
         .cells
-        .set_limit(CellLimit::new(500.0, 500.0));
+        .set_limit(CellLimit::new(limit_m, limit_m));
+    let rays = driven.renderer.counters.screen_space_marches;
     let (mut waits, mut fades) = (vec![wind[WIND_FRAMES - 1].clone()], Vec::new());
     loop {
         let frame = driven.frame(STANDING, 1.0 / FPS);
@@ -64,10 +70,14 @@ fn measured(crowd: u32) -> Measured {
             Some(_) => fades.push(frame),
             None => {
                 fades.push(frame);
-                break;
+                let viewer = &driven.renderer.viewers[&STANDING];
+                if viewer.renderer_fade.is_none() {
+                    break;
+                }
             }
         }
     }
+    let rays = driven.renderer.counters.screen_space_marches - rays;
     assert_ne!(driven.cell_of(STANDING), driven.cell_of(ViewerId(2)));
     let marched = driven.renderer.counters.tiles_updated - marched;
     let ends = [fades[0].clone(), fades[fades.len() - 1].clone()];
@@ -79,11 +89,12 @@ fn measured(crowd: u32) -> Measured {
         fades: steps(&fades),
         texels: marched * crate::cache::TEXELS_PER_TILE,
         texels_wind,
+        rays,
     }
 }
 
 impl Measured {
-    fn print(&self, what: &str) {
+    pub(super) fn print(&self, what: &str) {
         for (stage, steps) in [
             ("wind", &self.wind),
             ("waits", &self.waits),
@@ -96,20 +107,21 @@ impl Measured {
                 steps.len()
             );
         }
-        let pixels = 160 * 90 * self.fades.len();
         println!(
-            "{what}: from the first to the last frame {:.4}; {} texels for both viewers, of which wind takes {} or so; own rays \
-             of every pixel {pixels}",
+            "{what}: from the first to the last frame {:.4}; {} texels for both viewers, of which wind takes {} or so; {} rays of \
+             its own, pixels {}",
             self.whole,
             self.texels,
             self.texels_wind * self.fades.len() as u64 / WIND_FRAMES as u64,
+            self.rays,
+            160 * 90 * self.fades.len(),
         );
     }
 }
 
 #[test]
 fn no_frame_of_a_standing_viewer_between_two_cells_differs_from_the_last_by_twice_what_wind_does() {
-    let found = measured(1);
+    let found = measured(left_behind(1), 500.0);
     found.print("two part");
     let way = [found.waits.as_slice(), &found.fades].concat();
     let [(wind, wind_most), (half, most)] =
@@ -202,99 +214,8 @@ fn no_frame_of_one_who_stays_in_a_cell_that_falls_apart_differs_from_the_last_by
     assert!(found[1].1.1 > most, "{found:?}");
 }
 
-/// A frame on the way from one cell to another.
-struct OnTheWay {
-    share: f64,
-    /// For how long the wind has blown, s.
-    time_s: f64,
-    frame: RgbImage,
-}
-
-/// How far pictures of the way are from what the eye sees: those of the mix, and those of rays that start somewhere between both
-/// references (2023, section 3.3.1).
-#[test]
-fn on_the_way_a_mix_is_no_farther_from_what_the_eye_sees_than_rays_that_start_between_both_references()
- {
-    let mut driven = left_behind(1);
-    let mut turns = 0;
-    (driven.renderer.cells).set_limit(CellLimit::new(500.0, 500.0));
-    let mut way: Vec<OnTheWay> = Vec::new();
-    let mut references_m = None;
-    loop {
-        let frame = driven.frame(STANDING, 1.0 / FPS);
-        turns += 1;
-        let Some(transition) = &driven.renderer.viewers[&STANDING].transition else {
-            break;
-        };
-        let share = transition.way.share();
-        let ends = [transition.from, driven.cell_of(STANDING)];
-        references_m = Some(ends.map(|cell| driven.renderer.active_cells[&cell].reference_m));
-        // Five of them are looked at.
-        if transition.way.stage() != Stage::Waits && share >= 0.22 * way.len() as f64 {
-            let time_s = f64::from(turns) / FPS;
-            way.push(OnTheWay {
-                share,
-                time_s,
-                frame,
-            });
-        }
-    }
-    let [old_m, new_m] = references_m.expect("a way");
-    println!("references {:.0} m apart", old_m.distance(new_m));
-    let noise = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/noise-of-tests");
-    let config = RenderConfig::new(noise.into());
-    let scene = scene_of(&json!({"version": 1}));
-    let mut still = StillRenderer::new(config, scene, &[]).expect("a device");
-    let settings = StillSettings {
-        renderer: RendererKind::ScreenSpace,
-        samples: 8,
-        march: MarchSettings {
-            steps: 48,
-            ..MarchSettings::default()
-        },
-        ..StillSettings::default()
-    };
-    let looks = camera(0.0, 40.0);
-    let mut passed_s = 0.0;
-    let mut rows: [Vec<RgbImage>; 3] = Default::default();
-    for seen in &way {
-        still.advance_time(seen.time_s - passed_s);
-        passed_s = seen.time_s;
-        let mut rays_from = |place: [f64; 3]| {
-            let (yaw, pitch, fov) = (looks.yaw_deg(), looks.pitch_deg(), looks.vertical_fov_deg());
-            let camera = Camera::new(place, yaw, pitch, fov).expect("a camera");
-            let size = FrameSize::new(160, 90).expect("a size");
-            let picture = still.render_with(camera, size, &settings, |_| {});
-            let rgb = crate::measure::reference::without_alpha(&picture.expect("rays").display);
-            RgbImage::from_raw(160, 90, rgb).expect("all rows")
-        };
-        let start_m = old_m.lerp(new_m, seen.share);
-        rows[0].push(rays_from(looks.position_m()));
-        rows[1].push(seen.frame.clone());
-        rows[2].push(rays_from([start_m.x, looks.position_m()[1], start_m.z]));
-    }
-    sheet(&rows)
-        .save(target("transition.png"))
-        .expect("written");
-    let flip = |row: usize| {
-        let pairs = rows[0].iter().zip(&rows[row]);
-        pairs.map(|(a, b)| steps(&[a.clone(), b.clone()])[0])
-    };
-    let [mut mixed, mut started] = [0.0, 0.0];
-    for ((seen, mix), start) in way.iter().zip(flip(1)).zip(flip(2)) {
-        println!(
-            "share {:.2}: mix {mix:.4}, rays from between {start:.4}",
-            seen.share
-        );
-        mixed += mix / way.len() as f64;
-        started += start / way.len() as f64;
-    }
-    println!("mean: {mixed:.4}, {started:.4}");
-    assert!(way.len() == 5 && mixed <= started, "{mixed} {started}");
-}
-
 /// Rows of pictures, as one.
-fn sheet(rows: &[Vec<RgbImage>]) -> RgbImage {
+pub(super) fn sheet(rows: &[Vec<RgbImage>]) -> RgbImage {
     let mut sheet = RgbImage::new(160 * rows[0].len() as u32, 90 * rows.len() as u32);
     for (y, row) in (0..).zip(rows) {
         for (x, picture) in (0..).zip(row) {
@@ -305,13 +226,13 @@ fn sheet(rows: &[Vec<RgbImage>]) -> RgbImage {
 }
 
 /// A file to be looked at.
-fn target(name: &str) -> std::path::PathBuf {
+pub(super) fn target(name: &str) -> std::path::PathBuf {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/transitions");
     std::fs::create_dir_all(&folder).expect("a folder");
     folder.join(name)
 }
 
-fn placed(name: &str, east_m: f64) -> PlacedCell {
+pub(super) fn placed(name: &str, east_m: f64) -> PlacedCell {
     PlacedCell {
         name: name.into(),
         center_m: [east_m, 2.0, 0.0],

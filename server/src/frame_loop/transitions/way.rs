@@ -7,6 +7,8 @@ const STANDING_RADIAN_S: f64 = 40.0;
 const STANDING_POWER: f64 = 0.75;
 /// A way takes never less or more than this, s.
 const STANDING_S: std::ops::RangeInclusive<f64> = 4.0..=45.0;
+/// By rays of the viewer's own never more than this, s: each of these frames is marched for it alone.
+const RAYS_STANDING_MAX_S: f64 = 600.0;
 /// Share of the way in which it sets out, and in which it arrives; in between it is even, since the fastest part sets the time.
 const EASE: f64 = 0.15;
 /// One that moves, however fast, in this time at least, s.
@@ -85,6 +87,22 @@ impl Way {
         }
     }
 
+    /// A way that rays of the viewer's own make, so long while it stands, s.
+    pub(super) fn of_rays(standing_s: f64) -> Self {
+        Self {
+            standing_s: standing_s.clamp(*STANDING_S.start(), RAYS_STANDING_MAX_S),
+            ..Self::new(0.0)
+        }
+    }
+
+    /// The same when rays are shown already.
+    pub(super) fn shown(self) -> Self {
+        Self {
+            stage: Stage::Fades,
+            ..self
+        }
+    }
+
     pub(in crate::frame_loop) fn stage(&self) -> Stage {
         self.stage
     }
@@ -150,6 +168,27 @@ impl Way {
             }
             Stage::Arrived | Stage::GivenUp => {}
         }
+    }
+
+    /// The same of rays of the viewer's own, which are `ready` when they show all that the old cell's cache does. After a jump they
+    /// show the new place at once.
+    pub(super) fn pass_rays(&mut self, passed_s: f64, motion: f64, ready: bool) {
+        let ready = if ready {
+            Readiness::Fine
+        } else {
+            Readiness::Missing
+        };
+        self.pass(passed_s, motion, ready);
+        if self.jumped && self.stage != Stage::GivenUp {
+            self.gone = 1.0;
+            self.stage = Stage::Arrived;
+        }
+    }
+
+    /// Goes to a place of the way, 0…1 in time.
+    #[cfg(test)]
+    pub(in crate::frame_loop) fn hold_at(&mut self, gone: f64) {
+        self.gone = gone;
     }
 
     /// Shows the new cell at once.
