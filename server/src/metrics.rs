@@ -289,6 +289,10 @@ fn describe() {
         "Viewers on their way from one view cell to another"
     );
     describe_gauge!(
+        "skycell_viewers_with_rays_in_transition",
+        "Those of them whose frames are made by rays of their own"
+    );
+    describe_gauge!(
         "skycell_cells_kept",
         "View cells without members whose caches are kept for viewers on their way"
     );
@@ -414,6 +418,7 @@ fn set_render_figures(viewers: usize, stats: &RenderStats) {
     counter!("skycell_light_shaft_tables_total").absolute(totals.light_shaft_tables);
     let ways = &stats.transitions;
     gauge!("skycell_viewers_in_transition").set(ways.viewers as f64);
+    gauge!("skycell_viewers_with_rays_in_transition").set(ways.own_rays as f64);
     gauge!("skycell_cells_kept").set(ways.cells_kept as f64);
     gauge!("skycell_transition_picture_bytes").set(ways.picture_bytes as f64);
     for (shown, changes) in [("way", ways.begun), ("at-once", ways.swapped)] {

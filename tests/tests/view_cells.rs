@@ -86,6 +86,12 @@ async fn a_viewer_who_changes_cells_by_rays_of_its_own_arrives_and_nothing_is_ke
         let ways = &on_its_way["transitions"];
         assert_eq!(ways[what].as_u64(), Some(count), "{ways}");
     }
+    let metrics = server.http().get(server.url("metrics")).send().await?;
+    let metrics = metrics.text().await?;
+    assert!(
+        metrics.contains("skycell_viewers_with_rays_in_transition 1"),
+        "{metrics}"
+    );
     let before = viewer.seen().frame()?.header.sequence;
     until("frames on the way", async || {
         let seen = viewer.seen();
