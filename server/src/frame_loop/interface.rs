@@ -513,6 +513,8 @@ pub struct TransitionStats {
     pub cells_kept: u64,
     /// GPU memory of their second pictures.
     pub picture_bytes: u64,
+    /// GPU memory of the last frames of their rays.
+    pub ring_bytes: u64,
     /// Changes of cells that were shown by such a way, since the start.
     pub begun: u64,
     /// Changes of cells that were shown at once, because there was no room for both cells or the new one was not there in

@@ -21,7 +21,7 @@ use crate::march::{
     EXPOSURE_AT_ZERO_EV, MarchedPixels, PixelStrip, Side, layer_features, pixels_key,
 };
 use adaptation::Adaptation;
-use skycell_protocol::{Camera, CellId, FrameSize, RendererKind};
+use skycell_protocol::{Camera, CellId, FrameSize};
 use skycell_shaders::{Features, layout};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -180,7 +180,7 @@ impl SkyRenderer {
             let reads_cache = self
                 .viewers
                 .values()
-                .any(|viewer| viewer.cell == id && viewer.kind == RendererKind::Cached);
+                .any(|viewer| viewer.cell == id && viewer.fills_cache());
             let Some(mut cell) = self.active_cells.remove(&id) else {
                 continue;
             };

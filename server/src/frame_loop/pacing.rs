@@ -300,9 +300,9 @@ impl FrameLoop {
 
     /// A viewer gets its last picture once more, unless another is due.
     fn refine(&mut self, id: ViewerId, now: Instant) {
-        let is_marching = self.renderer.screen_space_pending(id);
         let of_own = self.renderer.viewers.get(&id);
         let has_own_rays = of_own.is_some_and(|viewer| self.renderer.shows_pixels(viewer));
+        let is_marching = has_own_rays && self.renderer.screen_space_pending(id);
         let (Some(pace), Some(viewer)) =
             (self.paces.get_mut(&id), self.renderer.viewers.get_mut(&id))
         else {
@@ -775,7 +775,8 @@ impl FrameLoop {
             .iter()
             .filter_map(|(id, pace)| Some((self.renderer.viewers.get(id)?, pace)))
             .filter(|(viewer, pace)| {
-                changing || viewer.fades() || now.duration_since(pace.moved) < MOVING_FOR
+                let mixes = viewer.fades() || viewer.shows_rays_on_its_way();
+                changing || mixes || now.duration_since(pace.moved) < MOVING_FOR
             })
             .map(|(viewer, _)| viewer.view.fps)
             .fold(0.0, f64::max)
@@ -792,16 +793,25 @@ impl FrameLoop {
             .map(|(id, _)| *id)
             .collect();
         // Whoever has waited longest: one that moves all the time has always something to march.
-        ids.sort_by_key(|id| self.paces.get(id).and_then(|pace| pace.composited));
+        // Rays that are not shown yet come first: their window is full after some frames, and who waits for that has others.
+        let is_shown = |id: &ViewerId| {
+            let viewer = self.renderer.viewers.get(id);
+            viewer.is_some_and(|viewer| self.renderer.shows_pixels(viewer))
+        };
+        ids.sort_by_key(|id| {
+            let composited = self.paces.get(id).and_then(|pace| pace.composited);
+            (is_shown(id), composited)
+        });
         for id in ids {
             let of_id = self.renderer.viewers.get(&id);
-            let room = of_id.is_some_and(|viewer| self.has_room(viewer));
+            let is_on_its_way = of_id.is_some_and(ActiveViewer::marches_on_its_way);
+            let shows_rays = of_id.is_some_and(|viewer| self.renderer.shows_pixels(viewer));
+            // What is not sent needs no room.
+            let room = of_id.is_some_and(|viewer| !shows_rays || self.has_room(viewer));
             let seen = self
                 .paces
                 .get(&id)
                 .is_some_and(|pace| pace.change == Change::Seen);
-            let is_on_its_way = of_id.is_some_and(ActiveViewer::marches_on_its_way);
-            let shows_rays = of_id.is_some_and(|viewer| self.renderer.shows_pixels(viewer));
             if is_on_its_way && shows_rays && self.waits_for_its_time(id, now) {
                 continue;
             }
@@ -813,7 +823,8 @@ impl FrameLoop {
                 }
             }
             if room && self.renderer.screen_space_pending(id) {
-                if let Some(viewer) = self.renderer.viewers.get_mut(&id) {
+                let viewer = self.renderer.viewers.get_mut(&id);
+                if let Some(viewer) = viewer.filter(|_| shows_rays) {
                     viewer.waits_since.get_or_insert_with(Instant::now);
                 }
                 if self

@@ -450,6 +450,7 @@ impl SkyRenderer {
                 self.warm_up_resample(&update);
             }
             if renderer == RendererKind::ScreenSpace {
+                self.warm_up_rays(viewer);
                 self.march_screen_space(viewer, 1);
             }
             self.refresh_cells();

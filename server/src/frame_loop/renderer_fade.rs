@@ -4,7 +4,7 @@ use super::renderer::SkyRenderer;
 use super::transitions::PICTURES_BYTES_MAX;
 use super::viewers_on_device::ActiveViewer;
 use crate::composite::{Mix, PictureFade, dither_shift};
-use skycell_protocol::{Camera, ViewerId};
+use skycell_protocol::{Camera, CellId, ViewerId};
 
 /// From one to the other a viewer at rest goes in this time, s.
 const RENDERER_FADE_S: f64 = 1.0;
@@ -28,9 +28,9 @@ pub(super) struct RendererFade {
 }
 
 impl SkyRenderer {
-    /// Keeps a viewer's last picture, to be mixed with those that follow. None where it has none, or moves so fast that nothing
+    /// Keeps a viewer's last picture, of a cell, to be mixed with those that follow. None where it has none, or moves so fast that nothing
     /// of it is seen at its place any more.
-    pub(super) fn renderer_fade(&mut self, id: ViewerId) -> Option<RendererFade> {
+    pub(super) fn renderer_fade(&mut self, id: ViewerId, shown: CellId) -> Option<RendererFade> {
         let viewer = self.viewers.get(&id)?;
         let bytes = PictureFade::bytes_of(viewer.view.picture_size(), viewer.picture.format());
         let hidden = self.hidden_between(&viewer.shown_camera, &viewer.view.camera);
@@ -48,7 +48,7 @@ impl SkyRenderer {
         let (from, to) = (viewer.picture.pixels(), fade.old().pixels());
         encoder.copy_buffer_to_buffer(from, 0, to, 0, to.size());
         let (camera, frames) = (viewer.shown_camera, viewer.frames_composited);
-        let pre_exposure = self.pre_exposure_in(viewer.cell);
+        let pre_exposure = self.pre_exposure_in(shown);
         self.submit(encoder);
         Some(RendererFade {
             fade,

@@ -235,7 +235,7 @@ impl SkyRenderer {
     }
 
     /// The window of a viewer's pictures, if they have one.
-    fn window_plan(&self, viewer: &ActiveViewer) -> Option<WindowPlan> {
+    pub(super) fn window_plan(&self, viewer: &ActiveViewer) -> Option<WindowPlan> {
         match self.window_choice {
             WindowChoice::Fixed(plan) => plan,
             WindowChoice::ByQuality => Some(viewer.quality.settings.window_plan()),
@@ -275,7 +275,17 @@ impl SkyRenderer {
             return false;
         };
         let marched = self.layers_marched_for(&viewer);
-        if (viewer.screen_space.as_ref()).is_some_and(|job| job.layers != marched) {
+        let place = self.place_of(&viewer);
+        let is_elsewhere = |job: &ScreenSpaceJob| {
+            // Cameras of its frames are told in the place that it began in. Who looks anew is asked about that then.
+            viewer.marches_on_its_way()
+                && job
+                    .window()
+                    .is_some_and(|own| Some((own.cell, own.frame)) != place)
+        };
+        if (viewer.screen_space.as_ref())
+            .is_some_and(|job| job.layers != marched || is_elsewhere(job))
+        {
             viewer.screen_space = None;
         }
         if viewer.screen_space.is_none() {

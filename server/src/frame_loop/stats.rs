@@ -82,6 +82,7 @@ pub(super) fn render_stats(renderer: &SkyRenderer, uptime_s: f64) -> RenderStats
                 leaves: viewer
                     .transition
                     .as_ref()
+                    .filter(|t| !t.shows_rays())
                     .map(|t| renderer.cell_shown_by(t.from)),
                 position_m: viewer.view.camera.position_m(),
                 yaw_deg: viewer.view.camera.yaw_deg(),

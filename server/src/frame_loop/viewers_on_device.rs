@@ -71,6 +71,11 @@ impl ActiveViewer {
         self.kind == RendererKind::Cached || self.approaches.is_some()
     }
 
+    /// Whether the cache of its cell shows what it sees, or will at the end of its way there.
+    pub(super) fn fills_cache(&self) -> bool {
+        self.kind == RendererKind::Cached || self.shows_rays_on_its_way()
+    }
+
     /// Why its frames are not made by the renderer that it asked for.
     pub(super) fn renderer_note(&self) -> Option<&'static str> {
         if self.kind == self.view.renderer {
@@ -199,7 +204,9 @@ impl SkyRenderer {
             cell.is_some_and(|cell| self.is_reached(cell, eye_m)) && self.can_be_shown(view);
         let goes_to_rays = before == Some(RendererKind::Cached)
             && (kind == RendererKind::ScreenSpace || !is_shown);
-        let fade = goes_to_rays.then(|| self.renderer_fade(id)).flatten();
+        let fade = cell
+            .filter(|_| goes_to_rays)
+            .and_then(|cell| self.renderer_fade(id, cell));
         let Some(viewer) = self.viewers.get_mut(&id) else {
             return;
         };
@@ -249,7 +256,8 @@ impl SkyRenderer {
             .map(|(id, _)| *id)
             .collect();
         for id in &arrived {
-            let fade = self.renderer_fade(*id);
+            let cell = self.viewers.get(id).map(|viewer| viewer.cell);
+            let fade = cell.and_then(|cell| self.renderer_fade(*id, cell));
             if let Some(viewer) = self.viewers.get_mut(id) {
                 viewer.kind = RendererKind::Cached;
                 viewer.approaches = None;

@@ -49,5 +49,5 @@ pub use uniforms::{
 };
 pub use window::{TemporalWindow, WindowPlan};
 pub use window_pass::{
-    WindowRing, WindowStrip, fitting_window, possible_frames, resolve_key, window_key,
+    WindowRing, WindowStrip, fitting_window, possible_frames, resolve_key, ring_bytes, window_key,
 };

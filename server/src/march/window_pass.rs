@@ -45,7 +45,13 @@ fn marched_size(picture: FrameSize, divisor: u32) -> [u32; 2] {
     [picture.width(), picture.height()].map(|side| side.div_ceil(divisor.max(1)))
 }
 
-fn ring_bytes(picture: FrameSize, layers: usize, plan: WindowPlan) -> u64 {
+/// Bytes of the ring that a picture gets for a plan, as far as a device can hold it.
+#[must_use]
+pub fn ring_bytes(gpu: &Gpu, picture: FrameSize, layers: usize, plan: WindowPlan) -> u64 {
+    bytes_of(picture, layers, fitting_window(gpu, picture, layers, plan))
+}
+
+fn bytes_of(picture: FrameSize, layers: usize, plan: WindowPlan) -> u64 {
     let [width, height] = marched_size(picture, plan.divisor).map(u64::from);
     width * height * layers.max(1) as u64 * u64::from(plan.frames) * BYTES_PER_PIXEL
 }
@@ -73,7 +79,7 @@ pub fn fitting_window(
     let mut plan = plan.bounded();
     for frames in possible_frames(plan.frames) {
         plan.frames = frames;
-        if ring_bytes(picture, layers, plan) <= most {
+        if bytes_of(picture, layers, plan) <= most {
             break;
         }
     }
@@ -120,7 +126,7 @@ impl WindowRing {
         plan: WindowPlan,
         values: &wgpu::Buffer,
     ) -> Self {
-        let bytes = ring_bytes(picture, layers, plan);
+        let bytes = bytes_of(picture, layers, plan);
         let ring = gpu.buffer("window ring", bytes, wgpu::BufferUsages::STORAGE);
         let view = gpu.uniform_buffer("window view", size_of::<layout::View>());
         let window = gpu.uniform_buffer("window", size_of::<layout::Window>());

@@ -4,7 +4,7 @@ use super::*;
 use crate::config::RenderConfig;
 use crate::frame_loop::{StillRenderer, StillSettings};
 use serde_json::{Value, json};
-use skycell_protocol::Scene;
+use skycell_protocol::{RendererKind, Scene};
 
 /// Steps of the marches.
 const STEPS: u32 = 32;

@@ -12,6 +12,7 @@ mod way;
 mod tests;
 
 pub(super) use rays::OwnRays;
+use rays::RING_BYTES_MAX;
 pub(super) use way::{Readiness, Stage, Way};
 
 use super::interface::TransitionStats;
@@ -22,6 +23,7 @@ use crate::composite::{Picture, PictureFade};
 use crate::gpu::{Gpu, Pipelines};
 use glam::DVec3;
 use skycell_protocol::{Camera, CellId, RendererKind, ViewerId};
+use std::collections::BTreeMap;
 
 /// Most viewers between two cells; further ones are shown their new cell at once. Each may keep a cell that nobody belongs to
 /// any more.
@@ -193,7 +195,9 @@ impl SkyRenderer {
                         has_jumped: false,
                         references_m,
                     };
-                    let (rays, way) = self.begun_way(&left_behind, viewer.may_have_rays());
+                    let may_have_rays = viewer.may_have_rays()
+                        && self.ring_bytes() + self.ring_bytes_of(&viewer) <= RING_BYTES_MAX;
+                    let (rays, way) = self.begun_way(&left_behind, may_have_rays);
                     // Two pictures of linear radiance are not mixed.
                     if is_shown && in_transition < VIEWERS_MAX && !viewer.view.linear {
                         self.counters.transitions.begun += 1;
@@ -255,7 +259,7 @@ impl SkyRenderer {
         self.viewers.insert(id, viewer);
         if leads_elsewhere {
             // A new window has few samples at first.
-            let fade = self.renderer_fade(id);
+            let fade = self.renderer_fade(id, left);
             if let Some(viewer) = self.viewers.get_mut(&id) {
                 viewer.renderer_fade = fade;
             }
@@ -299,22 +303,31 @@ impl SkyRenderer {
     pub(super) fn keep_for_viewers(&mut self, id: CellId, left: &LeftBehind) -> Option<CellId> {
         let has_jumped = left.has_jumped;
         let ways = [false, true].map(|may_have_rays| self.begun_way(left, may_have_rays));
+        let mut bytes_left = RING_BYTES_MAX.saturating_sub(self.ring_bytes());
+        let bytes_of: BTreeMap<ViewerId, u64> = (self.viewers.iter())
+            .map(|(id, viewer)| (*id, self.ring_bytes_of(viewer)))
+            .collect();
         let mut room = VIEWERS_MAX.saturating_sub(self.viewers_in_transition());
         // Far from those of cells, which are counted up.
         let stand_in = CellId(u32::MAX - self.counters.transitions.stand_ins);
         let mut is_kept = false;
-        for viewer in self.viewers.values_mut() {
+        for (viewer_id, viewer) in &mut self.viewers {
             let is_in =
                 viewer.cell == id && viewer.kind == RendererKind::Cached && !viewer.view.linear;
             match &mut viewer.transition {
-                Some(transition) if transition.from == id => {
+                Some(transition) if transition.from == id && !transition.shows_rays() => {
                     transition.from = stand_in;
                     is_kept = true;
                 }
                 None if is_in && room > 0 => {
                     room -= 1;
                     let stood_m = viewer.shown_camera.position_m();
-                    let (rays, way) = ways[usize::from(viewer.may_have_rays())];
+                    let bytes = bytes_of.get(viewer_id).copied().unwrap_or(u64::MAX);
+                    let may_have_rays = viewer.may_have_rays() && bytes <= bytes_left;
+                    let (rays, way) = ways[usize::from(may_have_rays)];
+                    if rays.is_some() {
+                        bytes_left -= bytes;
+                    }
                     viewer.transition = Some(Transition {
                         from: stand_in,
                         requests: std::mem::take(&mut viewer.requests),
@@ -366,6 +379,7 @@ impl SkyRenderer {
             self.viewers.insert(id, viewer);
             if begins_rays {
                 self.show_rays(id);
+                changed.push(id);
                 // Nobody needs what it left.
                 has_ended = true;
             }
@@ -492,7 +506,7 @@ impl SkyRenderer {
         let limit = self.cells.limit();
         let is_left = |viewer: &ActiveViewer| {
             let transition = viewer.transition.as_ref();
-            transition.is_some_and(|t| t.from == id && !t.way.has_jumped())
+            transition.is_some_and(|t| t.from == id && !t.way.has_jumped() && !t.shows_rays())
         };
         self.active_cells
             .get(&id)
@@ -583,6 +597,7 @@ impl SkyRenderer {
                 .count() as u64,
             cells_kept: self.active_cells.keys().filter(|id| !belongs(id)).count() as u64,
             picture_bytes: self.fade_bytes(),
+            ring_bytes: self.ring_bytes(),
             begun: self.counters.transitions.begun,
             swapped: self.counters.transitions.swapped,
         }

@@ -11,15 +11,18 @@ use crate::config::Transitions;
 use crate::frame_loop::renderer::SkyRenderer;
 use crate::frame_loop::screen_space::ScreenSpaceJob;
 use crate::frame_loop::viewers_on_device::ActiveViewer;
-use crate::march::Side;
+use crate::march::{Side, ring_bytes};
 use glam::DVec3;
-use skycell_protocol::{CellId, RendererKind, Show, ViewerId};
+use skycell_protocol::{RendererKind, Show, ViewerId};
 use std::time::Instant;
 
 /// References that are no farther apart show the same, m.
 const APART_MIN_M: f64 = 1.0;
 /// In less wind the start of a standing viewer's rays goes on at this speed, m/s: that of a light wind.
 const SPEED_MIN_M_PER_S: f64 = 5.0;
+
+/// Most bytes of the last frames of rays of viewers on their way: four windows of 1920×1080 and one layer. Further ones fade.
+pub(super) const RING_BYTES_MAX: u64 = 544 << 20;
 
 /// Where rays started when a way began.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,6 +86,20 @@ impl SkyRenderer {
         sides.into_iter().all(|side| side == Side::Below)
     }
 
+    /// Bytes of the last frames of all rays of viewers on their way.
+    pub(super) fn ring_bytes(&self) -> u64 {
+        let viewers = self.viewers.values();
+        let on_their_way = viewers.filter(|viewer| viewer.marches_on_its_way());
+        on_their_way.map(|viewer| self.ring_bytes_of(viewer)).sum()
+    }
+
+    /// The same of a viewer, if it were.
+    pub(super) fn ring_bytes_of(&self, viewer: &ActiveViewer) -> u64 {
+        let layers = self.active.len();
+        let eye = |plan| ring_bytes(&self.gpu, viewer.view.picture_size(), layers, plan);
+        self.window_plan(viewer).map_or(0, eye)
+    }
+
     /// A way whose rays start at one reference and end at another: standing viewers see it about as fast as they see clouds drift.
     pub(super) fn way_of_rays(&self, [from_m, to_m]: [DVec3; 2]) -> Way {
         let wind_m_per_s = self.wind_speed_max_m_per_s();
@@ -127,7 +144,14 @@ impl SkyRenderer {
 
     /// A viewer whose rays show all that the old cell's cache does is shown them from now on.
     pub(super) fn show_rays(&mut self, id: ViewerId) {
-        let fade = self.renderer_fade(id);
+        let left = self
+            .viewers
+            .get(&id)
+            .and_then(|viewer| viewer.transition.as_ref());
+        let Some(left) = left.map(|transition| transition.from) else {
+            return;
+        };
+        let fade = self.renderer_fade(id, left);
         let Some(viewer) = self.viewers.get_mut(&id) else {
             return;
         };
@@ -136,8 +160,38 @@ impl SkyRenderer {
         viewer.renderer_fade = fade;
         if let Some(transition) = &mut viewer.transition {
             transition.requests.clear();
-            let left: CellId = transition.from;
-            self.change_requests(left);
+        }
+        self.change_requests(left);
+    }
+
+    /// Marches rays of a viewer's own from its cell's reference once, so that the first way waits for nothing.
+    pub(in crate::frame_loop) fn warm_up_rays(&mut self, id: ViewerId) {
+        if self.config.transitions != Transitions::OwnRays || !self.has_windows() {
+            return;
+        }
+        let Some(viewer) = self.viewers.get_mut(&id) else {
+            return;
+        };
+        let [east_m, altitude_m, south_m] = viewer.view.camera.position_m();
+        let from_m = DVec3::new(east_m, altitude_m, south_m);
+        viewer.transition = Some(Transition {
+            from: viewer.cell,
+            requests: Vec::new(),
+            way: Way::of_rays(0.0),
+            fade: None,
+            rays: Some(OwnRays { from_m }),
+            camera: viewer.view.camera,
+            seen_from_m: None,
+        });
+        // A strip for each layer is the whole small picture.
+        for _ in 0..=self.active.len() {
+            if self.march_screen_space(id, u64::MAX >> 20) {
+                break;
+            }
+        }
+        if let Some(viewer) = self.viewers.get_mut(&id) {
+            viewer.transition = None;
+            viewer.screen_space = None;
         }
     }
 }

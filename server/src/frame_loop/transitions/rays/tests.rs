@@ -8,7 +8,7 @@ use crate::frame_loop::driven::{
 };
 use crate::frame_loop::screen_space::WindowChoice;
 use crate::frame_loop::{StillRenderer, StillSettings};
-use crate::march::MarchSettings;
+use crate::march::{CellFrame, MarchSettings};
 use image::RgbImage;
 use serde_json::{Value, json};
 use skycell_protocol::{Camera, FrameSize, InputSequence};
@@ -313,6 +313,51 @@ fn nothing_of_rays_outlives_a_way_that_ends_early() {
         assert_eq!([stats.viewers, stats.own_rays], [0; 2], "{what}");
         assert_eq!(driven.renderer.active_cells.len(), cells_left, "{what}");
     }
+}
+
+#[test]
+fn viewers_whose_windows_find_no_room_fade() {
+    let mut driven = plain_at(Some(0.0), 1, &calm(), &cells());
+    let ids = || (1..=6).map(ViewerId);
+    for id in ids() {
+        let here = view([1920, 1080], camera(EAST_M[0], 40.0));
+        driven.renderer.join(id, here);
+    }
+    driven.settle();
+    for id in ids() {
+        let there = DVec3::new(EAST_M[1], 2.0, 0.0);
+        driven.renderer.cells.place(id, there);
+    }
+    driven.renderer.regroup(0.0);
+    let stats = driven.renderer.transition_stats();
+    assert_eq!([stats.begun, stats.swapped], [6, 0]);
+    assert!(stats.ring_bytes <= RING_BYTES_MAX && stats.ring_bytes > RING_BYTES_MAX / 2);
+    let viewers = driven.renderer.viewers.values();
+    let by_rays = viewers.filter(|viewer| viewer.marches_on_its_way()).count();
+    println!("{by_rays} by rays, {} bytes", stats.ring_bytes);
+    assert!((1..6).contains(&by_rays), "{by_rays}");
+}
+
+#[test]
+fn a_window_whose_cell_has_another_frame_begins_anew() {
+    let mut driven = standing(plain(16, &calm(), &cells()));
+    driven.belong(1);
+    driven.until(STANDING, Some(Stage::Fades));
+    let is_full = |driven: &Driven| {
+        let viewer = &driven.renderer.viewers[&STANDING];
+        viewer
+            .screen_space
+            .as_ref()
+            .is_some_and(ScreenSpaceJob::is_full)
+    };
+    assert!(is_full(&driven));
+    let cell = driven.cell_of(STANDING);
+    driven.renderer.restart_cell(cell);
+    let moved = driven.renderer.active_cells.get_mut(&cell).expect("a cell");
+    let far = DVec3::new(5_000.0, 0.0, 0.0);
+    moved.frame = CellFrame::at(far, moved.frame.planet_radius_m());
+    driven.turn(0.0);
+    assert!(!is_full(&driven), "what was marched elsewhere is shown");
 }
 
 #[test]
