@@ -31,25 +31,40 @@ const KINDS = {
  * @param {() => number} delayMs
  */
 function delayed(delayMs) {
+  /** What is on its way. @type {{ piece: Buffer, due_ms: number }[]} */
+  const held = [];
   let last_due_ms = 0;
-  const due = () => {
-    last_due_ms = Math.max(last_due_ms, performance.now() + delayMs());
-    return last_due_ms - performance.now();
-  };
-  return new Transform({
+  /** @type {NodeJS.Timeout | undefined} */
+  let timer;
+  /** @type {(() => void) | undefined} */
+  let ended;
+  const line = new Transform({
     // Room for what is on its way: a line holds more than one piece.
     writableHighWaterMark: 1 << 24,
     readableHighWaterMark: 1 << 24,
     transform(piece, _encoding, done) {
-      const wait_ms = due();
-      if (wait_ms > 0) setTimeout(() => this.destroyed || this.push(piece), wait_ms);
-      else this.push(piece);
+      last_due_ms = Math.max(last_due_ms, performance.now() + delayMs());
+      held.push({ piece, due_ms: last_due_ms });
+      deliver();
       done();
     },
     flush(done) {
-      setTimeout(done, due() + 1);
+      ended = done;
+      deliver();
+    },
+    destroy(error, done) {
+      clearTimeout(timer);
+      done(error);
     },
   });
+  // One timer for the first of them: timers of their own may come in another order than they are due, and after the end.
+  function deliver() {
+    clearTimeout(timer);
+    while (held.length > 0 && held[0].due_ms <= performance.now()) line.push(held.shift()?.piece);
+    if (held.length > 0) timer = setTimeout(deliver, Math.max(1, held[0].due_ms - performance.now()));
+    else ended?.();
+  }
+  return line;
 }
 
 /**
