@@ -684,7 +684,12 @@ impl FrameLoop {
             RESTING_BATCH
         };
         if hurried_fps > 0.0 && self.march_credit_s <= 0.0 && !self.device_rests(now) {
-            return Marching::Held;
+            // Who sees rays on the way between cells has no other frames.
+            return if self.march_screen_space(budget, ActiveViewer::shows_rays_on_its_way) {
+                Marching::More
+            } else {
+                Marching::Held
+            };
         }
         let tiles_max = (budget.as_nanos() as f64 / self.ns_per_tile).max(1.0) as usize;
         if self.renderer.update_sun_volumes(tiles_max) {
@@ -692,7 +697,7 @@ impl FrameLoop {
             return Marching::More;
         }
         let shafts = self.update_light_shafts(tiles_max);
-        let screen_space = self.march_screen_space(budget);
+        let screen_space = self.march_screen_space(budget, |_| true);
         let updates = self.renderer.march(tiles_max);
         self.march_credit_s -= updates.len() as f64 * self.ns_per_tile * 1e-9;
         for update in &updates {
@@ -782,14 +787,14 @@ impl FrameLoop {
             .fold(0.0, f64::max)
     }
 
-    /// One strip for a viewer with rays of its own that lacks samples; a complete sample becomes a frame.
-    fn march_screen_space(&mut self, budget: Duration) -> bool {
+    /// One strip for one of some viewers with rays of their own that lacks samples; a complete sample becomes a frame.
+    fn march_screen_space(&mut self, budget: Duration, of: impl Fn(&ActiveViewer) -> bool) -> bool {
         let now = Instant::now();
         let mut ids: Vec<ViewerId> = self
             .renderer
             .viewers
             .iter()
-            .filter(|(_, viewer)| self.renderer.marches_pixels(viewer))
+            .filter(|(_, viewer)| self.renderer.marches_pixels(viewer) && of(viewer))
             .map(|(id, _)| *id)
             .collect();
         // Whoever has waited longest: one that moves all the time has always something to march.
