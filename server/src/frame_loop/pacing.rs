@@ -841,8 +841,7 @@ impl FrameLoop {
                     for viewer in self.renderer.composite(&[id], &self.sink) {
                         if is_on_its_way {
                             self.composited(viewer, now);
-                        }
-                        if let Some(pace) = self.paces.get_mut(&viewer) {
+                        } else if let Some(pace) = self.paces.get_mut(&viewer) {
                             pace.composited = Some(now);
                             pace.refining.made(Refinement::None);
                         }

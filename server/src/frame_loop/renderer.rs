@@ -22,7 +22,7 @@ use crate::composite::{
     Inspections, Mix, Picture, PictureFade, clouds_key, composite_key, fade_key, ground_key,
     with_parallax, with_shared_background,
 };
-use crate::config::{FrameFilter, PlacedCell, RenderConfig, Transitions};
+use crate::config::{FrameFilter, PlacedCell, RenderConfig};
 use crate::field::FieldStore;
 use crate::gpu::{
     BlendStep, DeviceInventory, FieldTextures, Gpu, GpuError, PipelineKey, Pipelines, TimingRing,
@@ -373,7 +373,7 @@ impl SkyRenderer {
                             window_key(features)
                         }
                     });
-                    if self.config.transitions == Transitions::OwnRays && self.has_windows() {
+                    if self.shows_ways_by_rays() {
                         keys.push(window_key(Features {
                             moved_start: true,
                             ..features

@@ -229,11 +229,6 @@ impl SkyRenderer {
         Some((viewer.cell, cell.frame))
     }
 
-    /// Whether all frames of rays are summed up from a window.
-    pub(super) fn has_windows(&self) -> bool {
-        !matches!(self.window_choice, WindowChoice::Fixed(None))
-    }
-
     /// The window of a viewer's pictures, if they have one.
     pub(super) fn window_plan(&self, viewer: &ActiveViewer) -> Option<WindowPlan> {
         match self.window_choice {

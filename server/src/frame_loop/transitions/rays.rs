@@ -9,7 +9,7 @@ mod tests;
 use super::{LeftBehind, Stage, Transition, Way};
 use crate::config::Transitions;
 use crate::frame_loop::renderer::SkyRenderer;
-use crate::frame_loop::screen_space::ScreenSpaceJob;
+use crate::frame_loop::screen_space::{ScreenSpaceJob, WindowChoice};
 use crate::frame_loop::viewers_on_device::ActiveViewer;
 use crate::march::{Side, ring_bytes};
 use glam::DVec3;
@@ -69,16 +69,21 @@ impl ActiveViewer {
 }
 
 impl SkyRenderer {
+    /// Whether ways are shown by rays of the viewers' own: a window sums up what is marched of their moving start.
+    pub(in crate::frame_loop) fn shows_ways_by_rays(&self) -> bool {
+        self.config.transitions == Transitions::OwnRays
+            && !matches!(self.window_choice, WindowChoice::Fixed(None))
+    }
+
     /// Own rays from one reference to another, where that is how ways are shown.
     pub(super) fn own_rays_between(&self, left: &LeftBehind) -> Option<OwnRays> {
         let [from_m, to_m] = left.references_m;
-        let is_asked = self.config.transitions == Transitions::OwnRays && self.has_windows();
         let is_shown = !left.has_jumped
             && from_m.distance(to_m) > APART_MIN_M
             && [from_m, to_m]
                 .iter()
                 .all(|place| self.is_below_all(place.y));
-        (is_asked && is_shown).then_some(OwnRays { from_m })
+        (self.shows_ways_by_rays() && is_shown).then_some(OwnRays { from_m })
     }
 
     fn is_below_all(&self, altitude_m: f64) -> bool {
@@ -166,14 +171,13 @@ impl SkyRenderer {
 
     /// Marches rays of a viewer's own from its cell's reference once, so that the first way waits for nothing.
     pub(in crate::frame_loop) fn warm_up_rays(&mut self, id: ViewerId) {
-        if self.config.transitions != Transitions::OwnRays || !self.has_windows() {
+        if !self.shows_ways_by_rays() {
             return;
         }
         let Some(viewer) = self.viewers.get_mut(&id) else {
             return;
         };
-        let [east_m, altitude_m, south_m] = viewer.view.camera.position_m();
-        let from_m = DVec3::new(east_m, altitude_m, south_m);
+        let from_m = DVec3::from_array(viewer.view.camera.position_m());
         viewer.transition = Some(Transition {
             from: viewer.cell,
             requests: Vec::new(),

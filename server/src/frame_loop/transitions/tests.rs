@@ -337,49 +337,52 @@ fn a_change_in_the_middle_of_a_way_goes_back_or_on_and_never_jumps() {
     );
 }
 
+/// What ends a way of the standing viewer before it has arrived, and the cells that are left.
+pub(super) type EarlyEnd = (&'static str, fn(&mut Driven), usize);
+
+pub(super) const EARLY_ENDS: [EarlyEnd; 3] = [
+    (
+        "the viewer leaves",
+        |driven| driven.renderer.leave(STANDING),
+        0,
+    ),
+    (
+        "layers move",
+        |driven| {
+            let document = json!({"version": 1, "wind": {"speed_m_per_s": 0}, "layers": [
+                {"base_altitude_m": 3000, "top_altitude_m": 4000,
+                 "density": {"model": "homogeneous"}}]});
+            let scene = scene_of(&document);
+            driven.renderer.set_scene(scene, 2).expect("a scene");
+        },
+        1,
+    ),
+    (
+        "rays of its own, above the layer",
+        |driven| {
+            let high = Camera::new([110.0, 9_000.0, 0.0], 0.0, 0.0, 60.0).expect("a camera");
+            driven.renderer.set_camera(STANDING, InputSequence(3), high);
+            driven.turn(1.0 / FPS);
+        },
+        1,
+    ),
+];
+
 #[test]
 fn nothing_outlives_a_way_that_ends_early() {
-    type Ends = fn(&mut Driven);
-    let ends: [(&str, Ends, usize); 4] = [
-        (
-            "the viewer leaves",
-            |driven| driven.renderer.leave(STANDING),
-            0,
-        ),
-        (
-            "layers move",
-            |driven| {
-                let document = json!({"version": 1, "wind": {"speed_m_per_s": 0}, "layers": [
-                    {"base_altitude_m": 3000, "top_altitude_m": 4000,
-                     "density": {"model": "homogeneous"}}]});
-                let scene = scene_of(&document);
-                driven.renderer.set_scene(scene, 2).expect("a scene");
-            },
-            1,
-        ),
-        (
-            "rays of its own",
-            |driven| {
-                let high = Camera::new([110.0, 9_000.0, 0.0], 0.0, 0.0, 60.0).expect("a camera");
-                driven.renderer.set_camera(STANDING, InputSequence(3), high);
-                driven.turn(1.0 / FPS);
-            },
-            1,
-        ),
-        (
-            "another size, and the end",
-            |driven| {
-                let larger = view([80, 48], camera(110.0, 40.0));
-                driven.renderer.set_view(STANDING, larger);
-                driven.turn(1.0 / FPS);
-                assert_eq!(driven.stage(STANDING), Some(Stage::Fades));
-                assert_eq!(driven.show(STANDING).dimensions(), (80, 48));
-                driven.until(STANDING, None);
-            },
-            1,
-        ),
-    ];
-    for (what, end, cells) in ends {
+    let resized: EarlyEnd = (
+        "another size, and the end",
+        |driven| {
+            let larger = view([80, 48], camera(110.0, 40.0));
+            driven.renderer.set_view(STANDING, larger);
+            driven.turn(1.0 / FPS);
+            assert_eq!(driven.stage(STANDING), Some(Stage::Fades));
+            assert_eq!(driven.show(STANDING).dimensions(), (80, 48));
+            driven.until(STANDING, None);
+        },
+        1,
+    );
+    for (what, end, cells) in EARLY_ENDS.into_iter().chain([resized]) {
         let mut driven = in_a_row();
         driven.go(STANDING, 110.0);
         driven.until(STANDING, Some(Stage::Fades));

@@ -1,6 +1,8 @@
 //! Ways by rays of a viewer's own: that they begin and end with what caches show, that nothing pops, and what they show and cost.
 
-use super::super::tests::{STANDING, left_behind_in, measured, placed, sheet, target};
+use super::super::tests::{
+    EARLY_ENDS, EarlyEnd, STANDING, left_behind_in, measured, placed, sheet, target,
+};
 use super::*;
 use crate::config::{PlacedCell, RenderConfig};
 use crate::frame_loop::driven::{
@@ -11,7 +13,7 @@ use crate::frame_loop::{StillRenderer, StillSettings};
 use crate::march::{CellFrame, MarchSettings};
 use image::RgbImage;
 use serde_json::{Value, json};
-use skycell_protocol::{Camera, FrameSize, InputSequence};
+use skycell_protocol::{FrameSize, InputSequence};
 
 /// Caches as in 2023: one sphere a layer, looked up where the eye's ray meets it.
 fn plain(steps: u32, document: &Value, placed: &[PlacedCell]) -> Driven {
@@ -254,45 +256,17 @@ fn who_turns_sees_the_new_cell_soon_and_who_jumps_at_once() {
 
 #[test]
 fn nothing_of_rays_outlives_a_way_that_ends_early() {
-    type Ends = fn(&mut Driven);
-    let ends: [(&str, Ends, usize); 4] = [
-        (
-            "the viewer leaves",
-            |driven| driven.renderer.leave(STANDING),
-            0,
-        ),
-        (
-            "layers move",
-            |driven| {
-                let document = json!({"version": 1, "layers": [
-                    {"base_altitude_m": 3000, "top_altitude_m": 4000,
-                     "density": {"model": "homogeneous"}}]});
-                let scene = scene_of(&document);
-                driven.renderer.set_scene(scene, 2).expect("a scene");
-            },
-            1,
-        ),
-        (
-            "out of where rays start from below",
-            |driven| {
-                let high = Camera::new([0.0, 9_000.0, 0.0], 0.0, 0.0, 60.0).expect("a camera");
-                driven.renderer.set_camera(STANDING, InputSequence(3), high);
-                driven.turn(1.0 / FPS);
-            },
-            1,
-        ),
-        (
-            "another renderer",
-            |driven| {
-                let mut asked = view([160, 90], camera(EAST_M[0], 40.0));
-                asked.renderer = RendererKind::ScreenSpace;
-                driven.renderer.set_view(STANDING, asked);
-                driven.turn(1.0 / FPS);
-            },
-            1,
-        ),
-    ];
-    for (what, end, cells_left) in ends {
+    let by_rays: EarlyEnd = (
+        "another renderer",
+        |driven| {
+            let mut asked = view([160, 90], camera(EAST_M[0], 40.0));
+            asked.renderer = RendererKind::ScreenSpace;
+            driven.renderer.set_view(STANDING, asked);
+            driven.turn(1.0 / FPS);
+        },
+        1,
+    );
+    for (what, end, cells_left) in EARLY_ENDS.into_iter().chain([by_rays]) {
         let mut driven = standing(plain(16, &calm(), &cells()));
         driven.show(STANDING);
         driven.belong(1);
